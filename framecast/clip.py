@@ -169,8 +169,9 @@ class Clip:
             elif span * step < gap * 0.999:
                 out[name] = _stretched(layers, span, sign * gap)
             elif all(0 <= i < len(self.records) for i in path):
-                fields = [_tensor(self._checked(self.records[i])[name]) for i in path]
-                out[name] = chain([_tensor(layers[name]), *fields])[0].numpy()
+                fields = [layers, *(self._checked(self.records[i]) for i in path)]
+                depths = [_tensor(f["depth"]) for f in fields] if "depth" in layers else None
+                out[name] = chain([_tensor(f[name]) for f in fields], depths)[0].numpy()
         return out, gap or span
 
 

@@ -100,17 +100,45 @@ def scale_motion(motion: Float[Tensor, "b 2 h w"], scale: float) -> Float[Tensor
     return motion[:, :, y[:, None], x] * scale
 
 
-def chain(motions: Sequence[Float[Tensor, "b 2 h w"]]) -> Float[Tensor, "b 2 h w"]:
+def chain(
+    motions: Sequence[Float[Tensor, "b 2 h w"]], depths: Sequence[Float[Tensor, "b 1 h w"]] | None = None
+) -> Float[Tensor, "b 2 h w"]:
     """Motion over several frames from the motion of each: acc(p) = m0(p) + m1(p + m0(p)) + ...
 
     `motions[0]` belongs to the current frame, `motions[1]` to the frame it points to, and so on; each vector is read at
     the accumulated position, in the pixel that contains it (fields jump at silhouettes, so they are not mixed).
     Positions outside read the nearest edge pixel.
+
+    With `depths`, of the same frames, the vector read belongs to the same surface: the pixel of the 3 x 3 around the
+    position whose depth is closest to the surface's own. Where even that one differs by more than a tenth, the surface
+    was hidden in between, and keeps the velocity it had.
     """
     total = motions[0]
-    for motion in motions[1:]:
-        total = total + fetch(motion, total)
+    for k in range(1, len(motions)):
+        step = fetch(motions[k], total)
+        if depths is not None:
+            index, misfit = _same_surface(depths[0], depths[k], total)
+            step = torch.where(misfit < 0.1, pick(motions[k], index), total / k)
+        total = total + step
     return total
+
+
+def _same_surface(
+    depth: Float[Tensor, "b 1 h w"], other: Float[Tensor, "b 1 h w"], motion: Float[Tensor, "b 2 h w"]
+) -> tuple[Int[Tensor, "b h w"], Float[Tensor, "b 1 h w"]]:
+    """Index of the pixel around each target whose depth fits best (the centre where it fits), and the misfit."""
+    height, width = depth.shape[-2:]
+    centre = landing(motion)
+    row, column = centre // width, centre % width
+    best, least = centre, (pick(other, centre) / depth).log().abs()
+    least = torch.where(least < 0.02, -1.0, least)
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            index = (row + dy).clamp(0, height - 1) * width + (column + dx).clamp(0, width - 1)
+            misfit = (pick(other, index) / depth).log().abs()
+            better = misfit < least
+            best, least = torch.where(better[:, 0], index, best), torch.where(better, misfit, least)
+    return best, least
 
 
 @dataclass(frozen=True)

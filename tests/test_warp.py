@@ -90,6 +90,16 @@ def test_chaining_reads_the_older_field_where_the_younger_one_leads() -> None:
     assert chain([younger, older])[0, 0, 0].tolist() == [0, -1, 0, 0, -4, 0]
 
 
+def test_chaining_with_depth_stays_on_the_surface() -> None:
+    """The wall was hidden behind something near that ran across: it must not take its vector."""
+    still, crossing = torch.zeros(1, 2, 8, 8), torch.zeros(1, 2, 8, 8)
+    wall, covered = torch.full((1, 1, 8, 8), 5.0), torch.full((1, 1, 8, 8), 5.0)
+    crossing[:, 0, 2:6, 2:6] = -4
+    covered[..., 2:6, 2:6] = 1
+    assert (chain([still, crossing]) != 0).any()
+    assert (chain([still, crossing], [wall, covered]) == 0).all()
+
+
 def test_trajectory_is_exact_for_constant_acceleration() -> None:
     def x(t: float) -> float:
         return 2 * t + 0.75 * t * t
