@@ -8,8 +8,9 @@ in front of it with constant acceleration; past the plane's right edge there is 
 sensor at 64 pixels, so one unit is 8 pixels on the plane and 16 on the cube's face, and every speed is a round number.
 
 Each fixture is a folder of multilayer EXRs and a `shot.json`. `truth.json` beside them holds, per fixture and frame,
-`probes`: a pixel (x, y down), the surface there, its depth and object index, and where that surface point was one frame
-earlier and will be one frame later, relative to the pixel. The probes come from the formulas below, never from a render.
+`probes`: a pixel (x, y down), the surface there, its depth and object index, and where that surface point was one
+frame earlier and will be one frame later, relative to the pixel.
+The probes come from the formulas below, never from a render.
 """
 
 import json
