@@ -1,0 +1,18 @@
+"""Every method by name. A method is `image, state = method(frame, state)`; `method.start(frame)` makes the first state.
+
+Its class says what it needs: `needs` (fields of `Frame` that every shaded frame carries), `needs_generated` (those that
+a frame to generate carries besides its time), `modes`, `history` (how many shaded frames determine an image; None: all
+since the last reset) and `step_motion` (whether vectors to the frames left out help it, where a clip has them).
+"""
+
+from collections.abc import Callable
+
+from torch import nn
+
+from framecast.methods.blend import Blend
+from framecast.methods.hold import Hold
+
+METHODS: dict[str, Callable[[], nn.Module]] = {
+    "hold": Hold,
+    "blend": Blend,
+}
