@@ -266,7 +266,7 @@ def bunting(index: int, start: Point, end: Point, m: Materials, frames: int) -> 
             for p, q in pairwise(path)
         ]
     )
-    colors = [m[c] for c in ("red", "yellow", "teal", "ivory", "navy")]
+    colors = [m[f"flag {c}"] for c in ("red", "yellow", "teal", "ivory", "navy")]
     lookup = {round(sum(v.x for v in flags[0][3 * k : 3 * k + 3]) / 3, 3): k for k in range(len(path) - 1)}
     made = add("bunting", flags, colors, pick=lambda c: lookup[round(c.x, 3)] % len(colors))
     made.shape_key_add(name="rest")
@@ -275,8 +275,8 @@ def bunting(index: int, start: Point, end: Point, m: Materials, frames: int) -> 
         key.slider_min = -1.0
         for k in range(len(path) - 1):
             swing = math.sin(0.9 * k + shift)
-            key.data[3 * k + 2].co += Vector((0.1 * swing, 0.16 * swing, 0.03 * swing))
-        animate(key, frames, value=lambda t, s=shift: math.cos(0.75 * t + s))
+            key.data[3 * k + 2].co += Vector((0.11 * swing, 0.1 * swing, 0.04 * swing))
+        animate(key, frames, value=lambda t, s=shift: math.cos(0.6 * t + s))
     moving(index, made)
 
 

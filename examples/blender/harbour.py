@@ -11,6 +11,7 @@ from shapes import (
     at,
     ball,
     box,
+    cloth,
     join,
     lathe,
     masonry,
@@ -74,6 +75,11 @@ def palette(frames: int) -> Materials:
         "bark": paint("bark", (0.13, 0.08, 0.05), 0.9),
         "hill": plaster("hill", (0.14, 0.23, 0.12)),
         "cloud": paint("cloud", (0.9, 0.86, 0.82), 1.0, 0.0, 0.12),
+        "flag red": cloth("flag red", (0.75, 0.05, 0.03)),
+        "flag yellow": cloth("flag yellow", (0.9, 0.55, 0.08)),
+        "flag teal": cloth("flag teal", (0.04, 0.42, 0.42)),
+        "flag ivory": cloth("flag ivory", (0.85, 0.8, 0.66)),
+        "flag navy": cloth("flag navy", (0.06, 0.13, 0.36)),
         "water": water("water", (0.015, 0.06, 0.07), frames),
     }
 

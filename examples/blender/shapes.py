@@ -164,6 +164,21 @@ def paint(name: str, color: Color, roughness: float = 0.5, metallic: float = 0.0
     return made
 
 
+def cloth(name: str, color: Color) -> bpy.types.Material:
+    """Thin cloth, lit alike from both sides: half of the light passes through."""
+    made = bpy.data.materials.new(name)
+    made.use_nodes = True
+    tree = made.node_tree
+    tree.nodes.clear()
+    kinds = ("ShaderNodeBsdfDiffuse", "ShaderNodeBsdfTranslucent", "ShaderNodeMixShader", "ShaderNodeOutputMaterial")
+    front, through, mix, out = (tree.nodes.new(kind) for kind in kinds)
+    for k, shader in enumerate((front, through)):
+        shader.inputs["Color"].default_value = (*color, 1)
+        tree.links.new(shader.outputs[0], mix.inputs[1 + k])
+    tree.links.new(mix.outputs[0], out.inputs["Surface"])
+    return made
+
+
 def _noise(tree: bpy.types.NodeTree, scale: float, stretch: Point = (1, 1, 1)) -> bpy.types.NodeSocket:
     mapping, coordinates = tree.nodes.new("ShaderNodeMapping"), tree.nodes.new("ShaderNodeTexCoord")
     mapping.inputs["Scale"].default_value = stretch
