@@ -183,6 +183,8 @@ class Scene:
     mirrors: tuple[Mirror, ...] = ()
     haze: float = 0.0
     """Density of a uniform haze per scene unit; it takes the colour of the blurred sky behind it."""
+    occlusion_radius: float = 0.5
+    """Scene units over which corners darken each other (ambient occlusion)."""
     shadow_distance: float = 60.0
     """Scene units from the camera up to which the sun casts shadows."""
     split: Literal["train", "test"] = "train"

@@ -1,0 +1,59 @@
+// Surfaces with opacity: lit while drawn, back to front, over the lit picture. They leave no trace in the other buffers.
+
+struct Corner {
+    @builtin(position) position: vec4f,
+    @location(0) world: vec3f,
+    @location(1) normal: vec3f,
+    @location(2) tangent: vec4f,
+    @location(3) uv: vec2f,
+};
+
+@vertex
+fn vertex(
+    @location(0) position: vec3f,
+    @location(1) normal: vec3f,
+    @location(2) tangent: vec4f,
+    @location(3) uv: vec2f,
+    @builtin(instance_index) index: u32,
+) -> Corner {
+    let instance = instances[index];
+    let clip = instance.clip * vec4f(position, 1.0);
+    var out: Corner;
+    out.position = vec4f(clip.xy + view.jitter * clip.w, clip.zw);
+    out.world = (instance.model * vec4f(position, 1.0)).xyz;
+    out.normal = turn_normal(instance.model, normal);
+    out.tangent = vec4f((instance.model * vec4f(tangent.xyz, 0.0)).xyz, tangent.w);
+    out.uv = uv;
+    return out;
+}
+
+@fragment
+fn fragment(in: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
+    let base = textureSampleBias(base_map, base_sampler, in.uv, view.lod_bias) * material.base;
+    let mapped = textureSampleBias(normal_map, normal_sampler, in.uv, view.lod_bias).xyz * 2.0 - 1.0;
+    let rough = textureSampleBias(surface_map, surface_sampler, in.uv, view.lod_bias);
+    let glow = textureSampleBias(emissive_map, emissive_sampler, in.uv, view.lod_bias).rgb;
+    let side = select(-1.0, 1.0, front);
+    let n = normalize(in.normal) * side;
+    let t = normalize(in.tangent.xyz - n * dot(n, in.tangent.xyz));
+    let b = cross(n, t) * in.tangent.w * side;
+    let local = vec3f(mapped.xy * material.normal_scale, mapped.z);
+    var s: Surface;
+    s.position = in.world;
+    s.depth = 1.0 / in.position.w;
+    s.pixel = in.position.xy;
+    s.normal = normalize(t * local.x + b * local.y + n * max(local.z, 0.05));
+    s.geometric = n;
+    s.albedo = base.rgb;
+    s.roughness = clamp(rough.g * material.roughness, 0.0, 1.0);
+    s.metallic = clamp(rough.b * material.metallic, 0.0, 1.0);
+    s.emissive = glow * material.emissive;
+    s.occlusion = 1.0;
+    // what is reflected comes on top of what shines through
+    let lit = shade(s);
+    s.albedo = vec3f(0.0);
+    s.emissive = vec3f(0.0);
+    let gloss = shade(s);
+    let diffuse = max(lit - gloss, vec3f(0.0));
+    return vec4f(diffuse + gloss / max(base.a, 0.05), base.a);
+}
