@@ -1,7 +1,7 @@
 """Small Blender renders whose depth and motion are known on paper, for the tests of the Blender importer.
 
     python examples/blender/fixtures.py OUT                        # the bpy module, Blender 5
-    blender -b -P examples/blender/fixtures.py -- OUT              # an installed Blender, 3.4 or newer
+    blender -b -P examples/blender/fixtures.py -- OUT v34-ortho    # an installed Blender, 3.4 or newer; only that one
 
 The scene: a camera looks down -z from (cx, cy, 8) at the plane z = 0; a unit cube whose front face lies at z = 4 moves
 in front of it with constant acceleration; past the plane's right edge there is only sky. The lens is 36 mm on a 36 mm
@@ -74,6 +74,7 @@ FIXTURES = {
         Fixture("v34"),
         Fixture("v34-nodes", frames=(4, 5), nodes=True),
         Fixture("v34-motion-blur", frames=(4, 5), motion_blur=True),
+        Fixture("v34-ortho", frames=(4,), kind="ortho"),
         Fixture("v34-panorama", frames=(4,), kind="panorama", size=(64, 32)),
     ),
 }
@@ -338,11 +339,13 @@ def shot(scene: bpy.types.Scene, fixture: Fixture) -> dict[str, object]:
     return made | ({"ortho_scale": ORTHO_SCALE} if fixture.kind == "ortho" else {})
 
 
-def main(out: Path) -> None:
-    """Render the fixtures of the running Blender's version and merge their truths into OUT/truth.json."""
+def main(out: Path, names: list[str]) -> None:
+    """Render the fixtures of the running Blender's version, or those named; merge their truths into OUT/truth.json."""
     path = out / "truth.json"
     truth = json.loads(path.read_text()) if path.exists() else {}
     for fixture in FIXTURES[5 if VERSION[0] >= 5 else 3]:
+        if names and fixture.name not in names:
+            continue
         folder = out / fixture.name
         folder.mkdir(parents=True, exist_ok=True)
         scene = build(fixture)
@@ -360,4 +363,4 @@ def main(out: Path) -> None:
 
 if __name__ == "__main__":
     arguments = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
-    main(Path(arguments[0]))
+    main(Path(arguments[0]), arguments[1:])
