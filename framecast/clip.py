@@ -115,7 +115,7 @@ class Clip:
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} of a clip of {len(self)}")
         record = self.records[self._kept[index]]
-        layers = self._checked(record)
+        layers = self.checked(record)
         span = self._span(index)
         if self.motion == "gap" and self._kept.step > 1:
             layers, span = self._bridged(index, layers, span)
@@ -129,7 +129,8 @@ class Clip:
             return None
         return _tensor(read_layers(path, {"color": LAYERS["color"]})["color"])
 
-    def _checked(self, record: Record) -> Layers:
+    def checked(self, record: Record) -> Layers:
+        """Pixels of one frame as they were loaded; raises as `__getitem__` does for a wrong size or NaN."""
         layers = self.load(record)
         for name, pixels in layers.items():
             if pixels.shape[-2:] != self.size:
@@ -169,7 +170,7 @@ class Clip:
             elif span * step < gap * 0.999:
                 out[name] = _stretched(layers, span, sign * gap)
             elif all(0 <= i < len(self.records) for i in path):
-                fields = [layers, *(self._checked(self.records[i]) for i in path)]
+                fields = [layers, *(self.checked(self.records[i]) for i in path)]
                 depths = [_tensor(f["depth"]) for f in fields] if "depth" in layers else None
                 out[name] = chain([_tensor(f[name]) for f in fields], depths)[0].numpy()
         return out, gap or span

@@ -43,6 +43,15 @@ class Exr:
         return height, width
 
 
+@dataclass(frozen=True)
+class Header:
+    """What a file says of itself: size of the display window, channel names in file order, text attributes."""
+
+    size: tuple[int, int]
+    names: tuple[str, ...]
+    attributes: dict[str, str]
+
+
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """The library reports damage on both standard streams; its findings are reported as errors here instead."""
@@ -71,8 +80,8 @@ def _parts(file: OpenEXR.File) -> list[Any]:
     return [part for part in file.parts if part.header]
 
 
-def size(path: Path) -> tuple[int, int]:
-    """Height and width of the display window, from the header alone.
+def header(path: Path) -> Header:
+    """Size, channel names and text attributes, without reading pixels.
 
     Raises:
         FileNotFoundError: no such file. ClipError: not an EXR file.
@@ -81,14 +90,19 @@ def size(path: Path) -> tuple[int, int]:
     if not parts:
         raise ClipError(f"{path} holds no image; render it again")
     low, high = parts[0].header["displayWindow"]
-    return int(high[1] - low[1]) + 1, int(high[0] - low[0]) + 1
+    names = tuple(channel.name for part in parts for channel in part.header["channels"])
+    text = {k: v for part in parts for k, v in part.header.items() if isinstance(v, str)}
+    return Header((int(high[1] - low[1]) + 1, int(high[0] - low[0]) + 1), names, text)
+
+
+def size(path: Path) -> tuple[int, int]:
+    """Height and width of the display window, from the header alone; raises as `header` does."""
+    return header(path).size
 
 
 def attributes(path: Path) -> dict[str, str]:
-    """Text attributes of every part, from the header alone."""
-    return {
-        k: v for part in _parts(_open(path, header_only=True)) for k, v in part.header.items() if isinstance(v, str)
-    }
+    """Text attributes of every part, from the header alone; raises as `header` does."""
+    return header(path).attributes
 
 
 def read(path: Path) -> Exr:
