@@ -11,8 +11,10 @@ from torch import nn
 
 from framecast.methods.blend import Blend
 from framecast.methods.hold import Hold
+from framecast.methods.warp3d import Warp3D
 
 METHODS: dict[str, Callable[[], nn.Module]] = {
     "hold": Hold,
     "blend": Blend,
+    "warp3d": Warp3D,
 }
