@@ -52,6 +52,7 @@ class Canvas:
     def aim(self, time: float, view: View) -> None:
         """Takes the next pictures at `time` from `view`."""
         self.time, self.view = time, view
+        self.draws = self.stage.seen(time, view.clip)
         device.write(self.instances, self.stage.instances(time, view))
         for canvas, mirror in zip(self.mirrors, self.stage.scene.mirrors, strict=True):
             canvas.aim(time, mirrored(view, mirror))
@@ -77,7 +78,7 @@ class Canvas:
             depth_stencil_attachment={**_depth(self.depth), "depth_load_op": "clear"},
         )
         run.set_bind_group(0, self.groups["view"])
-        for draw in self.stage.draws:
+        for draw in self.draws:
             if draw.material.alpha_mode != "blend":
                 mirror = self.view.plane is not None
                 run.set_pipeline(
@@ -94,10 +95,10 @@ class Canvas:
         run.draw_indexed(draw.index_count, draw.count, 0, 0, draw.first)
 
     def _draw_glass(self, encoder: Any) -> None:
-        glass = [draw for draw in self.stage.draws if draw.material.alpha_mode == "blend"]
+        glass = [draw for draw in self.draws if draw.material.alpha_mode == "blend"]
         if not glass or self.view.plane is not None:
             return
-        centres, _ = self.stage.bounds(self.time)
+        centres, _ = self.stage.balls(self.time)
         eye = self.view.camera[:3, 3]
         glass.sort(key=lambda draw: -float(np.linalg.norm(centres[draw.first] - eye)))
         run = encoder.begin_render_pass(
@@ -154,7 +155,7 @@ class Vectors:
         run.set_pipeline(passes.sky_motion())
         run.draw(3)
         run.set_bind_group(0, self.group)
-        for draw in canvas.stage.draws:
+        for draw in canvas.draws:
             if draw.material.alpha_mode != "blend":
                 run.set_pipeline(passes.motion(draw.material.double_sided, draw.flipped))
                 run.set_bind_group(1, draw.surface)

@@ -1,4 +1,4 @@
-"""Meshes as they are at one time: morphing, skinning, normals, tangents, bounds. All in numpy.
+"""Meshes as they are at one time: morphing, skinning, normals, tangents. All in numpy.
 
 Done on the CPU in double precision: characters are small, every frame needs one new pose only (the earlier ones are kept),
 and the true earlier positions, not chained motion, are what makes `motion2` exact.
@@ -97,11 +97,3 @@ def _cofactors(m: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
     """Inverse transposes up to a positive factor where the matrices do not mirror: they take normals along."""
     x, y, z = m[:, :, 0], m[:, :, 1], m[:, :, 2]
     return np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], 2)
-
-
-def bounds(positions: Float[Array, "n 3"], matrix: Float[Array, "4 4"]) -> tuple[Array, float]:
-    """Centre and radius of a sphere around the points, in world space."""
-    low, high = positions.min(0), positions.max(0)
-    centre = matrix[:3, :3] @ ((low + high) / 2) + matrix[:3, 3]
-    scale = np.linalg.norm(matrix[:3, :3], 2)
-    return centre, float(scale * np.linalg.norm(high - low) / 2)

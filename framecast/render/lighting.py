@@ -45,7 +45,7 @@ class Lighting:
     def update(self, time: float, view: View) -> None:
         """Draws the shadow maps and packs the lights at `time`, for pictures taken from `view`."""
         scene = self.stage.scene
-        centres, radii = self.stage.bounds(time)
+        centres, radii = self.stage.balls(time)
         middle = (centres.min(0) + centres.max(0)) / 2
         ball = middle, float((np.linalg.norm(centres - middle, axis=1) + radii).max())
         maps: list[shadows.ShadowMap] = []
@@ -66,9 +66,9 @@ class Lighting:
         if maps:
             rows = [(m.matrix.T, m.texel, m.range, m.layer, m.far) for m in maps]
             device.write(self.map_buffer, np.array(rows, MAP))
-            self._draw(maps, packed)
+            self._draw(time, maps, packed)
 
-    def _draw(self, maps: list[shadows.ShadowMap], packed: Array) -> None:
+    def _draw(self, time: float, maps: list[shadows.ShadowMap], packed: Array) -> None:
         encoder = device.open_device().create_command_encoder()
         for light in packed:
             texture = self.suns if light["kind"] == 0 else self.lamps
@@ -81,7 +81,7 @@ class Lighting:
                 )
                 run.set_bind_group(0, self.group)
                 run.set_bind_group(2, self.looks[index])
-                for draw in self.stage.draws:
+                for draw in self.stage.seen(time, maps[index].matrix):
                     self._cast(run, draw)
                 run.end()
         device.open_device().queue.submit([encoder.finish()])

@@ -83,10 +83,10 @@ def lamp_maps(light: Light, pose: LightPose, first: int) -> list[ShadowMap]:
     """One map for a spot, six (+x -x +y -y +z -z) for a point light."""
     near = max(light.radius, 0.02)
     if light.kind == "spot":
-        faces, tangent = [_axes(pose.direction)], np.tan(min(light.outer_cone * 1.05, 1.4))
+        faces, tangent = [_axes(pose.direction)], np.tan(min(light.outer_cone * 1.15, 1.4))
     else:
         signed = [sign * axis for axis in np.eye(3) for sign in (1, -1)]
-        faces, tangent = [_axes(direction) for direction in signed], 1.0 + 4 / LAMP_SIZE
+        faces, tangent = [_axes(direction) for direction in signed], 1.13  # a margin for the taps of soft shadows
     maps = []
     for k, axes in enumerate(faces):
         view = np.eye(4)

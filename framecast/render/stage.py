@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from framecast.render import device, geometry
 from framecast.render.scene import Instance, Material, Mesh, Scene, Texture
-from framecast.render.view import View
+from framecast.render.view import View, in_sight
 
 Array = np.ndarray
 
@@ -50,6 +50,8 @@ class Stage:
         self._still = {id(i): i.pose(0.0) for i in self.order if i.object == 0}
         self.pose = functools.lru_cache(maxsize=8)(self._poses)
         self.shape = functools.lru_cache(maxsize=8)(self._shapes)
+        self.balls = functools.lru_cache(maxsize=8)(self.bounds)
+        self._ball = functools.lru_cache(maxsize=None)(lambda mesh: _ball(mesh.positions))
         self.draws = tuple(self._draws())
         self.time: float | None = None
 
@@ -115,13 +117,23 @@ class Stage:
         return np.stack([*clips, self.models(time - 1)], 1).transpose(0, 1, 3, 2).astype(np.float32)
 
     def bounds(self, time: float) -> tuple[Float[Array, "n 3"], Float[Array, " n"]]:
-        """Spheres around all instances: centres and radii, world space."""
+        """Balls around all instances: centres and radii, world space."""
         shapes = self.shape(time)
-        spheres = [
-            geometry.bounds(shapes[k].positions if k in shapes else i.mesh.positions, np.asarray(pose.matrix))
-            for k, (i, pose) in enumerate(zip(self.order, self.pose(time), strict=True))
-        ]
-        return np.stack([centre for centre, _ in spheres]), np.array([radius for _, radius in spheres])
+        balls = [_ball(shapes[k].positions) if k in shapes else self._ball(i.mesh) for k, i in enumerate(self.order)]
+        models = self.models(time)
+        middles = np.stack([middle for middle, _ in balls])
+        centres = np.einsum("nij,nj->ni", models[:, :3, :3], middles) + models[:, :3, 3]
+        return centres, np.linalg.norm(models[:, :3, :3], 2, axis=(1, 2)) * np.array([radius for _, radius in balls])
+
+    def seen(self, time: float, clip: Float[Array, "4 4"]) -> list[Draw]:
+        """The draws of which something may show in the picture of a world-to-clip matrix."""
+        visible = in_sight(clip, *self.balls(time))
+        return [draw for draw in self.draws if visible[draw.first : draw.first + draw.count].any()]
+
+
+def _ball(positions: Float[Array, "n 3"]) -> tuple[Array, float]:
+    low, high = positions.min(0), positions.max(0)
+    return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
 
 
 def _grouped(instances: tuple[Instance, ...]) -> list[Instance]:

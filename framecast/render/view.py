@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from framecast.render.scene import Camera, Mirror
 
@@ -89,3 +89,12 @@ def _rotation(view: View) -> Array:
     matrix = np.eye(4)
     matrix[:3, :3] = np.linalg.inv(view.camera[:3, :3])
     return matrix
+
+
+def in_sight(
+    clip: Float[Array, "4 4"], centres: Float[Array, "n 3"], radii: Float[Array, " n"]
+) -> Bool[Array, " n"]:
+    """Which balls may touch the picture that a world-to-clip matrix makes; nothing is cut by distance."""
+    planes = np.stack([clip[3] + clip[0], clip[3] - clip[0], clip[3] + clip[1], clip[3] - clip[1]])
+    planes /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+    return (centres @ planes[:, :3].T + planes[:, 3] >= -radii[:, None]).all(1)

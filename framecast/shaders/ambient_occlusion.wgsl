@@ -30,8 +30,10 @@ fn fragment(@builtin(position) centre: vec4f) -> @location(0) vec4f {
     let reach = clamp(radius * frame.focal / depth, 3.0, 0.2 * frame.size.y);
     let limit = vec2i(frame.size) - 1;
     var sum = 0.0;
+    var direction = first_on_disc(pattern_angle());
     for (var k = 0u; k < AROUND; k++) {
-        let tap = vec2i(floor(centre.xy + disc(k, AROUND, pattern_angle()) * reach));
+        let tap = vec2i(floor(centre.xy + direction * out_on_disc(k, AROUND) * reach));
+        direction = next_on_disc(direction);
         if (any(tap < vec2i(0)) || any(tap > limit)) {
             continue;
         }

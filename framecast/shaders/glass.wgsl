@@ -49,11 +49,7 @@ fn fragment(in: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4
     s.metallic = clamp(rough.b * material.metallic, 0.0, 1.0);
     s.emissive = glow * material.emissive;
     s.occlusion = 1.0;
-    // what is reflected comes on top of what shines through
-    let lit = shade(s);
-    s.albedo = vec3f(0.0);
-    s.emissive = vec3f(0.0);
-    let gloss = shade(s);
-    let diffuse = max(lit - gloss, vec3f(0.0));
-    return vec4f(diffuse + gloss / max(base.a, 0.05), base.a);
+    let seen = radiance(s);
+    // what it reflects comes on top of what shines through
+    return vec4f(through_air(s, seen.diffuse + seen.gloss / max(base.a, 0.05)), base.a);
 }

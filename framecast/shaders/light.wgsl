@@ -11,5 +11,6 @@ fn fragment(@builtin(position) at: vec4f) -> @location(0) vec4f {
     if (s.depth >= SKY) {
         return vec4f(min(background(normalize(s.position)) * frame.exposure, vec3f(6e4)), SKY);
     }
-    return vec4f(shade(s), s.depth);
+    let seen = radiance(s);
+    return vec4f(through_air(s, seen.diffuse + seen.gloss), s.depth);
 }

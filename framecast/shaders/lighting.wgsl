@@ -76,10 +76,18 @@ fn pattern_angle() -> f32 {
     return (frame.jitter.x + frame.jitter.y * 0.61803) * 2.0 * PI;
 }
 
-// Point k of n, evenly spread over the unit disc.
-fn disc(k: u32, n: u32, angle: f32) -> vec2f {
-    let a = f32(k) * 2.3999632 + angle;
-    return sqrt((f32(k) + 0.5) / f32(n)) * vec2f(cos(a), sin(a));
+// Points evenly spread over a disc, one after the other: `next_on_disc` turns the direction by the golden angle.
+fn first_on_disc(angle: f32) -> vec2f {
+    return vec2f(cos(angle), sin(angle));
+}
+
+fn next_on_disc(direction: vec2f) -> vec2f {
+    return vec2f(-0.7373688 * direction.x - 0.6754903 * direction.y, 0.6754903 * direction.x - 0.7373688 * direction.y);
+}
+
+// How far out point k of n lies on the unit disc.
+fn out_on_disc(k: u32, n: u32) -> f32 {
+    return sqrt((f32(k) + 0.5) / f32(n));
 }
 
 // Octahedral coordinates (geometry.wgsl's `fold`) back to a unit vector.

@@ -1,44 +1,50 @@
 // Soft shadows: how far the blockers stand off gives the width of the penumbra (percentage-closer soft shadows).
 
-const SEARCH = 12u;
-const TAPS = 20u;
+const SEARCH = 8u;
+const TAPS = 16u;
 
 // Lit part of a sun with `map` as its cascade. `penumbra` is the sun's angular radius.
-fn sun_map(map: ShadowMap, position: vec3f, penumbra: f32, angle: f32) -> f32 {
+fn sun_map(map: ShadowMap, position: vec3f, penumbra: f32, start: vec2f) -> f32 {
     let clip = map.matrix * vec4f(position, 1.0);
     let uv = clip.xy * vec2f(0.5, -0.5) + 0.5;
     let size = f32(textureDimensions(sun_depths).x);
     let per_unit = 1.0 / (map.texel * size);  // uv per scene unit
-    let reach = min(penumbra * map.range * 0.5, 60.0 * map.texel) * per_unit;
+    let narrow = 1.2 / size;
+    let reach = clamp(penumbra * map.range * 0.5 * per_unit, narrow, 60.0 / size);
     var blockers = 0.0;
     var height = 0.0;
+    var direction = start;
     for (var k = 0u; k < SEARCH; k++) {
-        let at = vec2i((uv + disc(k, SEARCH, angle) * max(reach, 1.5 / size)) * size);
-        let depth = textureLoad(sun_depths, clamp(at, vec2i(0), vec2i(i32(size) - 1)), map.layer, 0);
-        if (depth > clip.z) {
-            blockers += 1.0;
-            height += (depth - clip.z) * map.range;
-        }
+        let at = vec2i((uv + direction * (out_on_disc(k, SEARCH) * reach)) * size);
+        let depth = textureLoad(sun_depths, at, map.layer, 0);
+        let blocks = select(0.0, 1.0, depth > clip.z);
+        blockers += blocks;
+        height += blocks * (depth - clip.z);
+        direction = next_on_disc(direction);
     }
     if (blockers == 0.0) {
         return 1.0;
     }
-    let radius = clamp(height / blockers * penumbra * per_unit, 1.0 / size, max(reach, 1.5 / size));
+    let radius = clamp(height / blockers * map.range * penumbra * per_unit, narrow, reach);
+    if (blockers == f32(SEARCH) && radius * 3.0 < reach) {
+        return 0.0;
+    }
     var lit = 0.0;
     for (var k = 0u; k < TAPS; k++) {
-        let at = uv + disc(k, TAPS, angle) * radius;
+        let at = uv + direction * (out_on_disc(k, TAPS) * radius);
         lit += textureSampleCompareLevel(sun_depths, shadow_sampler, at, map.layer, clip.z);
+        direction = next_on_disc(direction);
     }
     return lit / f32(TAPS);
 }
 
-fn sun_shadow(light: Light, s: Surface, angle: f32) -> f32 {
+fn sun_shadow(light: Light, s: Surface, start: vec2f) -> f32 {
     let slope = 1.0 - abs(dot(s.geometric, light.direction));
     for (var k = 0u; k < light.shadows; k++) {
         let map = shadow_maps[light.shadow + k];
         if (s.depth < map.far) {
             let position = s.position + s.geometric * map.texel * (1.0 + 2.0 * slope) - light.direction * map.texel;
-            let lit = sun_map(map, position, light.radius, angle);
+            let lit = sun_map(map, position, light.radius, start);
             let fade = smoothstep(0.9, 1.0, s.depth / map.far);
             return select(lit, mix(lit, 1.0, fade), k + 1u == light.shadows);
         }
@@ -61,15 +67,9 @@ fn face(light: Light, d: vec3f) -> u32 {
     return light.shadow + select(4u, 5u, d.z < 0.0);
 }
 
-// uv in the map, and the reversed depth; depth 2 (lit) outside of it.
-fn lamp_place(map: ShadowMap, position: vec3f) -> vec3f {
-    let clip = map.matrix * vec4f(position, 1.0);
-    let uv = clip.xy / clip.w * vec2f(0.5, -0.5) + 0.5;
-    let inside = clip.w > 0.0 && all(uv >= vec2f(0.0)) && all(uv <= vec2f(1.0));
-    return vec3f(uv, select(2.0, clip.z / clip.w, inside));
-}
-
-fn lamp_shadow(light: Light, s: Surface, angle: f32) -> f32 {
+// Lit part of a point or spot light. Taps lie on a disc that faces the lamp; the maps of a point light overlap, so that all
+// taps can be looked up in the map of the disc's centre.
+fn lamp_shadow(light: Light, s: Surface, start: vec2f) -> f32 {
     let away = s.position - light.position;
     let distance = length(away);
     let texel = shadow_maps[light.shadow].texel * distance;
@@ -78,35 +78,44 @@ fn lamp_shadow(light: Light, s: Surface, angle: f32) -> f32 {
     let axis = normalize(position - light.position);
     let helper = select(vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), abs(axis.x) > 0.7);
     let u = normalize(cross(axis, helper));
-    let v = cross(axis, u);
+    let map = shadow_maps[face(light, position - light.position)];
+    let centre = map.matrix * vec4f(position, 1.0);
+    let along_u = map.matrix * vec4f(u, 0.0);
+    let along_v = map.matrix * vec4f(cross(axis, u), 0.0);
+    if (centre.w <= map.range || any(abs(centre.xy) > vec2f(centre.w))) {
+        return 1.0;
+    }
     let size = f32(textureDimensions(lamp_depths).x);
-    let reach = max(min(light.radius, 0.15 * distance), 1.5 * texel);
+    let reach = max(min(light.radius, 0.12 * distance), 1.2 * texel);
     var blockers = 0.0;
-    var depth_sum = 0.0;
+    var ratios = 0.0;
+    var direction = start;
     for (var k = 0u; k < SEARCH; k++) {
-        let o = disc(k, SEARCH, angle) * reach;
-        let p = position + u * o.x + v * o.y;
-        let map = shadow_maps[face(light, p - light.position)];
-        let place = lamp_place(map, p);
-        let at = clamp(vec2i(place.xy * size), vec2i(0), vec2i(i32(size) - 1));
+        let o = direction * (out_on_disc(k, SEARCH) * reach);
+        let clip = centre + along_u * o.x + along_v * o.y;
+        let at = vec2i((clip.xy / clip.w * vec2f(0.5, -0.5) + 0.5) * size);
         let depth = textureLoad(lamp_depths, at, map.layer, 0);
-        if (depth > place.z) {
-            blockers += 1.0;
-            depth_sum += map.range / depth / (map.range / place.z);  // blocker's distance over ours
-        }
+        let ours = map.range / clip.w;
+        let blocks = select(0.0, 1.0, depth > ours);
+        blockers += blocks;
+        ratios += blocks * ours / max(depth, 1e-9);  // the blocker's distance over ours
+        direction = next_on_disc(direction);
     }
     if (blockers == 0.0) {
         return 1.0;
     }
-    let ratio = clamp(depth_sum / blockers, 0.05, 1.0);
-    let radius = clamp(light.radius * (1.0 - ratio) / ratio, texel, reach);
+    let ratio = clamp(ratios / blockers, 0.05, 1.0);
+    let radius = clamp(light.radius * (1.0 - ratio) / ratio, 1.2 * texel, reach);
+    if (blockers == f32(SEARCH) && radius * 3.0 < reach) {
+        return 0.0;
+    }
     var lit = 0.0;
     for (var k = 0u; k < TAPS; k++) {
-        let o = disc(k, TAPS, angle) * radius;
-        let p = position + u * o.x + v * o.y;
-        let map = shadow_maps[face(light, p - light.position)];
-        let place = lamp_place(map, p);
-        lit += textureSampleCompareLevel(lamp_depths, shadow_sampler, place.xy, map.layer, place.z);
+        let o = direction * (out_on_disc(k, TAPS) * radius);
+        let clip = centre + along_u * o.x + along_v * o.y;
+        let uv = clip.xy / clip.w * vec2f(0.5, -0.5) + 0.5;
+        lit += textureSampleCompareLevel(lamp_depths, shadow_sampler, uv, map.layer, map.range / clip.w);
+        direction = next_on_disc(direction);
     }
     return lit / f32(TAPS);
 }
