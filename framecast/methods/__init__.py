@@ -10,6 +10,7 @@ from collections.abc import Callable
 from torch import nn
 
 from framecast.methods.blend import Blend
+from framecast.methods.bsr import BSR
 from framecast.methods.hold import Hold
 from framecast.methods.warp3d import Warp3D
 
@@ -17,4 +18,5 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "hold": Hold,
     "blend": Blend,
     "warp3d": Warp3D,
+    "bsr": BSR,
 }
