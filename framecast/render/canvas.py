@@ -54,7 +54,7 @@ class Canvas:
         self.time, self.view = time, view
         self.draws = self.stage.seen(time, view.clip)
         device.write(self.instances, self.stage.instances(time, view))
-        for canvas, mirror in zip(self.mirrors, self.stage.scene.mirrors, strict=True):
+        for canvas, mirror in zip(self.mirrors, self.stage.scene.mirrors, strict=False):  # mirrors show no mirrors
             canvas.aim(time, mirrored(view, mirror))
 
     def draw(self, jitter: Jitter, lod_bias: float) -> None:

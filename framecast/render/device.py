@@ -57,7 +57,9 @@ def open_device() -> Any:
     except ImportError as error:
         raise FileNotFoundError("rendering needs wgpu; install it: pip install 'framecast[render]'") from error
     with _quiet():
-        found = [a for a in wgpu.gpu.enumerate_adapters_sync() if a.info["backend_type"] in ("Vulkan", "Metal", "D3D12")]
+        found = [
+            a for a in wgpu.gpu.enumerate_adapters_sync() if a.info["backend_type"] in ("Vulkan", "Metal", "D3D12")
+        ]
         if not found:
             raise FileNotFoundError(MISSING)
         best = min(found, key=lambda a: _ORDER.get(a.info["adapter_type"], 9))
@@ -170,10 +172,12 @@ def bind(layout: Any, *resources_: Any) -> Any:
 
 @functools.cache
 def sampler(kind: str) -> Any:
-    """`clamp`, `repeat` (both trilinear and anisotropic), `sky` (repeats in x only) or `shadow` (comparing)."""
+    """`clamp` and `repeat` (trilinear, anisotropic), `plain`, `sky` (repeats in x only) or `shadow` (comparing)."""
     device, linear = open_device(), {"mag_filter": "linear", "min_filter": "linear"}
     if kind == "shadow":
         return device.create_sampler(compare="greater-equal", **linear)
+    if kind == "plain":
+        return device.create_sampler(**linear)
     if kind == "sky":
         return device.create_sampler(address_mode_u="repeat", mipmap_filter="linear", **linear)
     mode = {"clamp": "clamp-to-edge", "repeat": "repeat"}[kind]

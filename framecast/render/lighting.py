@@ -32,22 +32,23 @@ class Lighting:
         casting = [light for light in stage.scene.lights if light.casts_shadow]
         suns = sum(light.kind == "sun" for light in casting)
         lamps = sum({"point": 6, "spot": 1}.get(light.kind, 0) for light in casting)
-        self.suns = device.target((shadows.SUN_SIZE,) * 2 if suns else (1, 1), passes.DEPTH, layers=max(suns * shadows.CASCADES, 1))
+        self.suns = device.target(
+            (shadows.SUN_SIZE,) * 2 if suns else (1, 1), passes.DEPTH, layers=max(suns * shadows.CASCADES, 1)
+        )
         self.lamps = device.target((shadows.LAMP_SIZE,) * 2 if lamps else (1, 1), passes.DEPTH, layers=max(lamps, 1))
         count = max(suns * shadows.CASCADES + lamps, 1)
         self.light_buffer = device.buffer(np.zeros(max(len(stage.scene.lights), 1), LIGHT), "STORAGE|COPY_DST")
         self.map_buffer = device.buffer(np.zeros(count, MAP), "STORAGE|COPY_DST")
         self.matrices = [device.buffer(np.zeros(16, np.float32), "UNIFORM|COPY_DST") for _ in range(count)]
         self.instances = device.buffer(stage.instances(0.0, _ANY), "STORAGE|COPY_DST")
-        self.group = device.bind(passes.layout("view"), device.buffer(np.zeros(12, np.float32), "UNIFORM"), self.instances)
+        self.group = device.bind(
+            passes.layout("view"), device.buffer(np.zeros(12, np.float32), "UNIFORM"), self.instances
+        )
         self.looks = [device.bind(passes.layout("uniform"), matrix) for matrix in self.matrices]
 
     def update(self, time: float, view: View) -> None:
         """Draws the shadow maps and packs the lights at `time`, for pictures taken from `view`."""
         scene = self.stage.scene
-        centres, radii = self.stage.balls(time)
-        middle = (centres.min(0) + centres.max(0)) / 2
-        ball = middle, float((np.linalg.norm(centres - middle, axis=1) + radii).max())
         maps: list[shadows.ShadowMap] = []
         packed = np.zeros(max(len(scene.lights), 1), LIGHT)
         layers = {"sun": 0, "lamp": 0}
@@ -55,7 +56,7 @@ class Lighting:
             pose, kind = light.at(time), "sun" if light.kind == "sun" else "lamp"
             mine: list[shadows.ShadowMap] = []
             if light.casts_shadow and kind == "sun":
-                mine = shadows.sun_maps(light, pose, view, scene.shadow_distance, ball, layers[kind])
+                mine = shadows.sun_maps(light, pose, view, scene.shadow_distance, self.stage.extent, layers[kind])
             elif light.casts_shadow:
                 mine = shadows.lamp_maps(light, pose, layers[kind])
             packed[k] = _packed(light, pose, light.dimmer(time), len(maps), len(mine))
@@ -107,7 +108,9 @@ def _packed(light: Light, pose: LightPose, dimmer: float, first: int, count: int
     return (color, KINDS[light.kind], pose.position, light.radius, direction, light.reach, *cones, first, count)
 
 
-def pack(stage: Stage, view: View, size: tuple[int, int], jitter: tuple[float, float], exposure: float, mirrors: int) -> Array:
+def pack(
+    stage: Stage, view: View, size: tuple[int, int], jitter: tuple[float, float], exposure: float, mirrors: int
+) -> Array:
     """The `Frame` struct of lighting.wgsl."""
     scene = stage.scene
     data = np.zeros(28, np.float32)
@@ -135,5 +138,5 @@ def bind(lighting: Lighting, environment: Environment, frame: Any, reflections: 
         device.stack(environment.environment),
         device.sampler("sky"),
         device.stack(reflections),
-        device.sampler("clamp"),
+        device.sampler("plain"),
     )

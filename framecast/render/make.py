@@ -15,6 +15,7 @@ import os
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.progress import track
@@ -68,7 +69,9 @@ def load(source: str, seed: int = 0) -> Scene:
     from framecast.render.scenes import SCENES
 
     if source not in SCENES:
-        raise ValueError(f"there is no scene {source!r}; choose one of {', '.join(SCENES)}, or give a .glb or .gltf file")
+        raise ValueError(
+            f"there is no scene {source!r}; choose one of {', '.join(SCENES)}, or give a .glb or .gltf file"
+        )
     return SCENES[source](seed)
 
 
@@ -81,7 +84,9 @@ def listing() -> list[tuple[str, str, int, str]]:
     return [(name, scene.split, scene.frames, (about[name] or [""])[0]) for name, scene in scenes.items()]
 
 
-def render_clip(settings: Settings, folder: Path, *, frames: int | None = None, workers: int = 1, preview: bool = False) -> clip.Clip:
+def render_clip(
+    settings: Settings, folder: Path, *, frames: int | None = None, workers: int = 1, preview: bool = False
+) -> clip.Clip:
     """Renders a clip, or what is missing of it, and opens it.
 
     Args:
@@ -115,7 +120,9 @@ def _check(settings: Settings, folder: Path, workers: int) -> None:
     for path in sorted((folder / "frames").glob("[0-9]*.exr"))[:1]:
         record = json.loads(exr.attributes(path).get("framecast", "{}"))
         if record.get("extra", {}).get("render") != _key(settings):
-            raise clip.ClipError(f"{folder} holds frames of another render; choose an empty folder, or delete {folder / 'frames'}")
+            raise clip.ClipError(
+                f"{folder} holds frames of another render; choose an empty folder, or delete {folder / 'frames'}"
+            )
 
 
 def _key(settings: Settings) -> str:
@@ -159,7 +166,7 @@ def _numbers(settings: Settings, folder: Path, scene: Scene, todo: list[int], wo
         yield result
 
 
-def _work(settings: Settings, folder: Path, numbers: list[int], done: "multiprocessing.SimpleQueue") -> None:
+def _work(settings: Settings, folder: Path, numbers: list[int], done: Any) -> None:
     """One process's share of the frames."""
     try:
         for number in _render_all(settings, folder, load(settings.source, settings.seed), numbers):

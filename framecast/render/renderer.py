@@ -6,8 +6,10 @@ Each is a pure function of scene, time, size and jitter; only scratch memory and
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float
 
+from framecast.color import to_display
 from framecast.frame import SKY
 from framecast.render import device
 from framecast.render.canvas import Canvas, Jitter, Size
@@ -72,7 +74,10 @@ class Renderer:
         canvas = self.canvas(time, size)
         canvas.draw(jitter, lod_bias)
         vectors = canvas.draw_vectors(self.views(time, size), jitter)
-        return {**surfaces(canvas), **{name: planes(vectors.targets[name]) for name in ("motion", "motion2", "motion_next")}}
+        return {
+            **surfaces(canvas),
+            **{name: planes(vectors.targets[name]) for name in ("motion", "motion2", "motion_next")},
+        }
 
 
 def planes(texture: object) -> Float[Array, "c h w"]:
@@ -123,17 +128,12 @@ def changes(renderer: Renderer, time: float, size: Size) -> Changes:
     canvas = renderer.canvas(time, size)
     canvas.draw((0.0, 0.0), 0.0)
     vectors = canvas.draw_vectors(renderer.views(time, size), (0.0, 0.0))
-    now, then = planes(canvas.lit)[:3], planes(vectors.relight(before))[:3]
+    now, then = (torch.from_numpy(planes(lit)[:3].copy()) for lit in (canvas.lit, vectors.relight(before)))
     gain = renderer.scene.exposure(time) / max(renderer.scene.exposure(time - 1), 1e-9)
-    shading = np.abs(_display(now) - _display(then * gain)).max(0, keepdims=True)
+    shading = (to_display(now) - to_display(then * gain)).abs().amax(0, keepdim=True).numpy()
     motion, was = planes(vectors.targets["motion"]), planes(vectors.targets["depth_before"])
     hidden = disoccluded(motion, was, depth(before))
     return Changes(motion, hidden, np.where(hidden, 0, shading).astype(np.float32))
-
-
-def _display(color: Array) -> Array:
-    """A plain display curve, for differences only."""
-    return (color / (1 + color)) ** (1 / 2.2)
 
 
 def disoccluded(
@@ -153,5 +153,3 @@ def disoccluded(
         before[0, np.clip(top + j, 0, height - 1), np.clip(left + i, 0, width - 1)] for j in (0, 1) for i in (0, 1)
     ]
     return (~inside | (was[0] * 0.98 > np.max(corners, 0)))[None]
-
-

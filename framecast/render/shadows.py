@@ -27,11 +27,13 @@ class ShadowMap(NamedTuple):
     far: float
 
 
-def sun_maps(light: Light, pose: LightPose, view: View, reach: float, ball: tuple[Array, float], first: int) -> list[ShadowMap]:
+def sun_maps(
+    light: Light, pose: LightPose, view: View, reach: float, ball: tuple[Array, float], first: int
+) -> list[ShadowMap]:
     """Cascades that cover the view up to `reach`, nearest first, stored from layer `first` on.
 
     Each covers a ball around its slice of the view frustum, so its size does not change as the camera turns, and it
-    moves in whole texels only: still shadows stand still. `ball` holds everything that can cast a shadow.
+    moves in whole texels only: still shadows stand still. `ball` holds the whole scene.
     """
     axes = _axes(pose.direction)
     splits = _splits(view.near, reach)
@@ -42,7 +44,7 @@ def sun_maps(light: Light, pose: LightPose, view: View, reach: float, ball: tupl
         local = axes @ centre
         local[:2] = np.round(local[:2] / texel) * texel
         top = float((axes @ ball[0])[2]) + ball[1]
-        bottom = min(float(local[2]) - radius, top - 1e-3)
+        bottom = top - 2 * ball[1]
         half = SUN_SIZE * texel / 2
         matrix = np.eye(4)
         matrix[0, :3], matrix[0, 3] = axes[0] / half, -local[0] / half

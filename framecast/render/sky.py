@@ -26,6 +26,7 @@ class Environment(NamedTuple):
     """Layers: ROUGH blurred skies, irradiance / pi, and the split-sum table (columns n.v, rows roughness)."""
 
 
+@functools.lru_cache(maxsize=4)
 def environment(sky: Sky) -> Environment:
     """Uploads a sky and its blurred forms."""
     ambient = sky.radiance if sky.ambient is None else sky.ambient
@@ -92,11 +93,11 @@ def irradiance(image: Float[Array, "h w 3"]) -> Float[Array, "32 64 3"]:
 def split_sum() -> Float[Array, "32 64 3"]:
     """Scale and offset of f0 for the light that GGX reflects of a uniform sky; columns n.v in 0..1, rows roughness in 0..1.
 
-    256 half vectors a cell, drawn in proportion to D(h) n.h from a Hammersley set; height-correlated Smith masking.
+    1024 half vectors a cell, drawn in proportion to D(h) n.h from a Hammersley set; height-correlated Smith masking.
     """
-    count = 256
+    count = 1024
     u = (np.arange(count) + 0.5) / count
-    bits = np.array([int(f"{k:08b}"[::-1], 2) for k in range(count)]) / count
+    bits = np.array([int(f"{k:010b}"[::-1], 2) for k in range(count)]) / count
     rough, nv = np.meshgrid(np.linspace(0, 1, TABLE[0]), np.linspace(0, 1, TABLE[1]), indexing="ij")
     alpha2, nv = np.maximum(rough, 0.02)[..., None] ** 4, np.maximum(nv, 1e-3)[..., None]
     cos2 = (1 - u) / (1 + (alpha2 - 1) * u)
@@ -109,4 +110,4 @@ def split_sum() -> Float[Array, "32 64 3"]:
     visibility = np.where((nl > 0) & (vh > 0), visibility, 0)
     fresnel = (1 - np.clip(vh, 0, 1)) ** 5
     table = np.stack([(visibility * (1 - fresnel)).mean(-1), (visibility * fresnel).mean(-1), np.zeros(TABLE)], -1)
-    return table.astype(np.float32)
+    return (table / np.maximum(table.sum(-1, keepdims=True), 1)).astype(np.float32)

@@ -18,7 +18,9 @@ Array = np.ndarray
 STEPS = (0, -1, -2, 1)
 """Times, relative to the frame, of the vertex positions that are kept on the GPU, in the order of their buffers."""
 
-INSTANCE = np.dtype([("model", "f4", (4, 4)), ("clip", "f4", (4, 4)), ("object", "u4"), ("mirror", "u4"), ("pad", "u4", 2)])
+INSTANCE = np.dtype(
+    [("model", "f4", (4, 4)), ("clip", "f4", (4, 4)), ("object", "u4"), ("mirror", "u4"), ("pad", "u4", 2)]
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +127,14 @@ class Stage:
         centres = np.einsum("nij,nj->ni", models[:, :3, :3], middles) + models[:, :3, 3]
         return centres, np.linalg.norm(models[:, :3, :3], 2, axis=(1, 2)) * np.array([radius for _, radius in balls])
 
+    @functools.cached_property
+    def extent(self) -> tuple[Array, float]:
+        """A ball around the whole scene at all times of its suggested length: the same for every frame."""
+        times = np.linspace(0, self.scene.frames, 7)
+        centres, radii = (np.concatenate(parts) for parts in zip(*map(self.bounds, times), strict=True))
+        middle = ((centres - radii[:, None]).min(0) + (centres + radii[:, None]).max(0)) / 2
+        return middle, 1.05 * float((np.linalg.norm(centres - middle, axis=1) + radii).max())
+
     def seen(self, time: float, clip: Float[Array, "4 4"]) -> list[Draw]:
         """The draws of which something may show in the picture of a world-to-clip matrix."""
         visible = in_sight(clip, *self.balls(time))
@@ -159,11 +169,15 @@ def _vertices(mesh: Mesh, pose: Any) -> tuple[tuple, tuple, Any]:
 def _surface(material: Material) -> Any:
     """Bind group 1 of geometry.wgsl."""
     cutoff = material.alpha_cutoff if material.alpha_mode == "mask" else -1.0
-    numbers = [*material.base_color, *material.emissive, material.normal_scale, material.roughness, material.metallic, cutoff, 0]
+    bend = material.normal_scale if material.normal_texture else 0.0
+    numbers = [*material.base_color, *material.emissive, bend, material.roughness, material.metallic, cutoff, 0]
     base = material.base_texture
     textures = (base, material.normal_texture, material.roughness_metallic_texture, material.emissive_texture)
     defaults = ((255, 255, 255, 255), (128, 128, 255, 255), (255, 255, 255, 255), (255, 255, 255, 255))
-    images = [_blank(d) if t is None else _image(t, cutoff if t is base else -1.0) for t, d in zip(textures, defaults, strict=True)]
+    images = [
+        _blank(d) if t is None else _image(t, cutoff if t is base else -1.0)
+        for t, d in zip(textures, defaults, strict=True)
+    ]
     samplers = [device.sampler("repeat" if t is None or t.repeat else "clamp") for t in textures]
     uniform = device.buffer(np.array(numbers, np.float32), "UNIFORM")
     return device.bind(surface_layout(), uniform, *images, *samplers)
@@ -191,7 +205,9 @@ def _image(texture: Texture, cutoff: float) -> Any:
     if not texture.srgb:
         levels = _mips(linear, cutoff)
         return device.upload([pixels, *(np.round(level * 255).clip(0, 255) for level in levels[1:])], "rgba8unorm")
-    linear[..., :3] = np.where(linear[..., :3] <= 0.04045, linear[..., :3] / 12.92, ((linear[..., :3] + 0.055) / 1.055) ** 2.4)
+    linear[..., :3] = np.where(
+        linear[..., :3] <= 0.04045, linear[..., :3] / 12.92, ((linear[..., :3] + 0.055) / 1.055) ** 2.4
+    )
     levels = [np.round(_encode(level) * 255).clip(0, 255) for level in _mips(linear, cutoff)[1:]]
     return device.upload([pixels, *levels], "rgba8unorm-srgb")
 

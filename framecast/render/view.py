@@ -75,7 +75,9 @@ def rays(view: View) -> Float[Array, "3 4"]:
     return rows
 
 
-def sky_turn(views: tuple[View, View, View, View], jitter: tuple[float, float], size: tuple[int, int]) -> Float[Array, "84"]:
+def sky_turn(
+    views: tuple[View, View, View, View], jitter: tuple[float, float], size: tuple[int, int]
+) -> Float[Array, "84"]:
     """The `Turn` struct of sky_motion.wgsl, from the views at time, time - 1, time - 2 and time + 1."""
     to_world = np.zeros((4, 4))
     to_world[:3, :3] = rays(views[0])[:, :3].T
@@ -91,9 +93,7 @@ def _rotation(view: View) -> Array:
     return matrix
 
 
-def in_sight(
-    clip: Float[Array, "4 4"], centres: Float[Array, "n 3"], radii: Float[Array, " n"]
-) -> Bool[Array, " n"]:
+def in_sight(clip: Float[Array, "4 4"], centres: Float[Array, "n 3"], radii: Float[Array, " n"]) -> Bool[Array, " n"]:
     """Which balls may touch the picture that a world-to-clip matrix makes; nothing is cut by distance."""
     planes = np.stack([clip[3] + clip[0], clip[3] - clip[0], clip[3] + clip[1], clip[3] - clip[1]])
     planes /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
