@@ -1,13 +1,12 @@
 """The two shaded frames between or beyond which a method generates: the state of every method without memory."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.utils._pytree import tree_map
 
 from framecast.frame import BUFFERS, Frame
 
@@ -42,8 +41,11 @@ def begin(frame: Frame, keeps: Sequence[str]) -> Pair:
 
 def advance(frame: Frame, state: Pair, keeps: Sequence[str]) -> Pair:
     """The state after one more shaded frame; those of the batch that reset begin anew."""
-    slim = _slim(frame, keeps, frame.reset)
-    return Pair(prev=tree_map(lambda new, old: _where(frame.reset, new, old), slim, state.current), current=slim)
+    slim, old = _slim(frame, keeps, frame.reset), state.current
+    values: dict[str, Any] = {
+        f.name: _where(frame.reset, getattr(slim, f.name), getattr(old, f.name)) for f in fields(Frame)
+    }
+    return Pair(prev=Frame(**values), current=slim)
 
 
 def _slim(frame: Frame, keeps: Sequence[str], fresh: Bool[Tensor, " b"]) -> Frame:
@@ -59,5 +61,8 @@ def _slim(frame: Frame, keeps: Sequence[str], fresh: Bool[Tensor, " b"]) -> Fram
     return replace(frame, **changes)
 
 
-def _where(choose: Bool[Tensor, " b"], a: Tensor, b: Tensor) -> Tensor:
+def _where(choose: Bool[Tensor, " b"], a: Tensor | None, b: Tensor | None) -> Tensor | None:
+    """`a` where chosen, else `b`; where one of them was not rendered, `b` (of one shot, whatever that is)."""
+    if a is None or b is None:
+        return b
     return torch.where(choose.view(-1, *[1] * (a.ndim - 1)), a, b)
