@@ -37,7 +37,6 @@ class Metric:
     """A metric in two parts: maps of one image pair, and the number that the average over a region becomes."""
 
     maps: Callable[[Tensor, Tensor], Maps]
-    unit: str
     higher_is_better: bool
     perfect: float
     """Value of equal images."""
@@ -183,10 +182,10 @@ def _alexnet(hub: Path) -> tuple[nn.ModuleList, nn.ModuleList]:
 
 
 METRICS: dict[str, Metric] = {
-    "psnr": Metric(lambda a, b: (squared_error(a, b),), "dB", True, PSNR_LIMIT, value=decibels),
-    "ssim": Metric(lambda a, b: (ssim_map(a, b),), "", True, 1.0),
-    "flip": Metric(lambda a, b: (flip_map(a, b),), "", False, 0.0),
-    "lpips": Metric(lpips_maps, "", False, 0.0),
+    "psnr": Metric(lambda a, b: (squared_error(a, b),), True, PSNR_LIMIT, value=decibels),
+    "ssim": Metric(lambda a, b: (ssim_map(a, b),), True, 1.0),
+    "flip": Metric(lambda a, b: (flip_map(a, b),), False, 0.0),
+    "lpips": Metric(lpips_maps, False, 0.0),
 }
 """Every metric of one image pair by name; for lpips see `lpips_missing`."""
 

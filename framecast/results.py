@@ -1,0 +1,137 @@
+"""What evaluation found: rows of numbers, their file, and tables of them."""
+
+import json
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from rich import box
+from rich.table import Table
+
+from framecast import exr
+from framecast.metrics import METRICS
+
+VERSION = 1
+"""Of the results file."""
+
+MEAN = "mean"
+"""Name under which `with_means` gives the mean over clips."""
+
+Mode = Literal["interpolate", "extrapolate", "mixed"]
+Role = Literal["shaded", "generated"]
+
+DIGITS = {"psnr": 2, "milliseconds": 1}
+"""Decimals shown; 4 for every other metric."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number: the mean over the frames of a clip that a method was seen in."""
+
+    method: str
+    clip: str
+    mode: Mode
+    role: Role
+    region: str
+    """"all", or "disoccluded" (see `evaluate.regions`)."""
+    metric: str
+    """A name of `metrics.METRICS`, or "milliseconds" (the median time of the method for one frame)."""
+    value: float
+
+
+def write_results(path: Path | str, rows: Sequence[Row]) -> None:
+    """Rows as JSON, the whole file or nothing."""
+    with exr.whole(Path(path)) as temporary:
+        temporary.write_text(json.dumps({"version": VERSION, "rows": [asdict(row) for row in rows]}, indent=1) + "\n")
+
+
+def read_results(path: Path | str) -> list[Row]:
+    """The rows of a file that `write_results` made.
+
+    Raises:
+        FileNotFoundError: no such file. ValueError: not a results file, or one of another version.
+    """
+    path = Path(path)
+    advice = f"make one with: framecast evaluate CLIP --json {path}"
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is no file; {advice}")
+    try:
+        held = json.loads(path.read_text())
+        version = held["version"]
+        rows = [Row(**row) for row in held["rows"]] if version == VERSION else []
+    except (json.JSONDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is no results file ({type(error).__name__}: {error}); {advice}") from error
+    if version != VERSION:
+        raise ValueError(f"{path} has version {version}; this framecast reads version {VERSION}: {advice}")
+    return rows
+
+
+def with_means(rows: Sequence[Row]) -> list[Row]:
+    """The rows, then for each method and number the mean over its clips, under the clip name MEAN."""
+    groups: dict[Row, list[float]] = {}
+    for row in rows:
+        groups.setdefault(replace(row, clip=MEAN, value=0.0), []).append(row.value)
+    return [*rows, *(replace(row, value=statistics.fmean(values)) for row, values in groups.items())]
+
+
+def shown(values: Mapping[str, float], metric: str) -> dict[str, tuple[str, bool]]:
+    """Each method's value as text, and whether no other one is better as shown (always False for a single method)."""
+    digits, higher = DIGITS.get(metric, 4), is_higher_better(metric)
+    texts = {method: f"{value:.{digits}f}" for method, value in values.items()}
+    best = (max if higher else min)(texts.values(), key=float, default="")
+    return {method: (text, text == best and len(texts) > 1) for method, text in texts.items()}
+
+
+def is_higher_better(metric: str) -> bool:
+    """Whether larger values are better; those of time are not."""
+    return metric in METRICS and METRICS[metric].higher_is_better
+
+
+def heading(region: str, metric: str) -> str:
+    """Title of a column: the metric, and the region where it is not all pixels."""
+    name = metric.upper() if metric in METRICS else "ms"
+    return name if region == "all" else f"{name}\n{region}"
+
+
+def columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    """(region, metric) of the rows, metrics of all pixels first, times last."""
+    found = dict.fromkeys((row.region, row.metric) for row in rows)
+    return sorted(found, key=lambda key: (key[1] not in METRICS, key[0] != "all"))
+
+
+def tables(rows: Sequence[Row]) -> dict[str, Table]:
+    """Tables by title, one for each mode, role and clip, and for the mean of several clips: a line for each method.
+
+       The best is bold.
+    Shaded frames have one only where a method changed them.
+    """
+    several = len({row.clip for row in rows}) > 1
+    groups: dict[tuple[str, Role, str], list[Row]] = {}
+    for row in with_means(rows) if several else rows:
+        groups.setdefault((row.mode, row.role, row.clip), []).append(row)
+    return {
+        f"{clip}: {role} frames, {mode}": _table(group)
+        for (mode, role, clip), group in groups.items()
+        if role == "generated" or not _untouched(group)
+    }
+
+
+def _untouched(rows: Sequence[Row]) -> bool:
+    """Whether every value that compares images is perfect."""
+    return all(row.value == METRICS[row.metric].perfect for row in rows if row.metric in METRICS)
+
+
+def _table(rows: Sequence[Row]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("method", overflow="fold")
+    cells = []
+    for region, metric in columns(rows):
+        table.add_column(heading(region, metric), justify="right", overflow="fold")
+        values = {row.method: row.value for row in rows if (row.region, row.metric) == (region, metric)}
+        cells.append(shown(values, metric))
+    for method in dict.fromkeys(row.method for row in rows):
+        texts = [cell.get(method, ("", False)) for cell in cells]
+        table.add_row(method, *(f"[bold]{text}[/bold]" if best else text for text, best in texts))
+    return table
