@@ -53,9 +53,9 @@ def describe(clip: Clip, methods: Mapping[str, Sequence[str]]) -> str:
         "lacks": ", ".join(n for n in (*BUFFERS, "view", "projection") if n not in found),
         "allows": ", ".join(method for method, lack in short.items() if not lack),
         "not": "; ".join(f"{method} (needs {', '.join(lack)})" for method, lack in short.items() if lack),
-        "notes": "; ".join(clip.provenance.get("notes", ())),
     }
-    return "\n".join(f"{name:<7} {text}" for name, text in lines.items() if text)
+    notes = [("note", note) for note in clip.provenance.get("notes", ())]
+    return "\n".join(f"{name:<7} {text}" for name, text in [*lines.items(), *notes] if text)
 
 
 def _cameras(clip: Clip) -> list[str]:

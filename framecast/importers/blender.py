@@ -88,7 +88,7 @@ def open_shot(folder: Path | str, *, fps: float | None = None, repair: bool = Fa
 
     records = _records(list(files), shot, cuts)
     probe = read(records[0])
-    check_vectors(folder, records, read)
+    check_vectors(folder, records, read, probe)
     return Clip(
         path=folder,
         fps=rate,

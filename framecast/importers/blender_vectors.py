@@ -10,17 +10,20 @@ from framecast.exr import ClipError
 from framecast.frame import SKY
 
 
-def check_vectors(folder: Path, records: Sequence[Record], read: Callable[[Record], Layers]) -> None:
+def check_vectors(folder: Path, records: Sequence[Record], read: Callable[[Record], Layers], first: Layers) -> None:
     """Refuse vectors that are all 0 while things move, and those of Blender 5 under a moving orthographic camera.
 
-    Reads two frames, and only where both have nothing but zeros although something moved, the others.
+    Reads one frame, and only where it has nothing but zeros although something moved, the others.
+
+    Args:
+        read: pixels of a frame as Blender left them, in our convention. first: those of the first frame.
 
     Raises:
         ClipError: with what to change in Blender.
     """
     if len(records) < 2:
         return
-    pair = [read(records[0]), read(records[len(records) // 2])]
+    pair = [first, read(records[len(records) // 2])]
     if all(_reversing(layers) for layers in pair):
         raise ClipError(
             f"{folder}: the vectors zoom, to the frame before and to the one after alike, as Blender 5 wrongly writes "
