@@ -244,6 +244,12 @@ def lacking(clip: Clip, method: Method) -> tuple[str, ...]:
     return tuple(field for field in dict.fromkeys((*method.needs, *method.needs_generated)) if field not in present)
 
 
+def fitting(clips: Sequence[Clip], mode: Mode) -> tuple[str, ...]:
+    """Names of the methods that can run on all of the clips in a mode."""
+    made = {name: make() for name, make in METHODS.items()}
+    return tuple(n for n, m in made.items() if supports(m, mode) and not any(lacking(clip, m) for clip in clips))
+
+
 def require(clip: Clip, name: str, method: Method) -> None:
     """Raises ClipError where the clip lacks a field that the method called `name` needs, and says what to do."""
     missing = lacking(clip, method)
@@ -305,7 +311,7 @@ def command(
         compile: compile the methods (their first frames take longer and are not timed).
     """
     opened = [open_any(path) for path in clips]
-    names = _names(methods) or tuple(name for name in METHODS if _fits(name, opened, mode))
+    names = _names(methods) or fitting(opened, mode)
     settings = Settings(_available(_names(metrics)), device, compile)
     part = json and json.with_name(f".{json.stem}.part{json.suffix}")
     rows: list[Row] = []
@@ -328,11 +334,6 @@ def command(
 
 def _names(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
-
-
-def _fits(name: str, clips: Sequence[Clip], mode: Mode) -> bool:
-    method = method_named(name)
-    return supports(method, mode) and not any(lacking(clip, method) for clip in clips)
 
 
 def _available(metrics: tuple[str, ...]) -> tuple[str, ...]:

@@ -102,10 +102,9 @@ def columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
 
 
 def tables(rows: Sequence[Row]) -> dict[str, Table]:
-    """Tables by title, one for each mode, role and clip, and for the mean of several clips: a line for each method.
+    """Tables by title, one for each mode, role and clip, and for the mean of several clips.
 
-       The best is bold.
-    Shaded frames have one only where a method changed them.
+    A line for each method, the best in bold. Shaded frames have a table only where a method changed them.
     """
     several = len({row.clip for row in rows}) > 1
     groups: dict[tuple[str, Role, str], list[Row]] = {}
