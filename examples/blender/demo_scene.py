@@ -347,7 +347,7 @@ def build(frames: int) -> None:
     light()
 
 
-def configure(size: tuple[int, int], samples: int, frames: int) -> None:
+def configure(size: tuple[int, int], samples: int, frames: int, denoise: bool) -> None:
     """Cycles, the passes, and one multilayer EXR a frame."""
     scene = bpy.context.scene
     scene.render.engine, scene.render.fps = "CYCLES", FPS
@@ -355,7 +355,7 @@ def configure(size: tuple[int, int], samples: int, frames: int) -> None:
     scene.frame_start, scene.frame_end = 1, frames
     scene.cycles.samples, scene.cycles.max_bounces = samples, 6
     scene.cycles.use_adaptive_sampling, scene.cycles.use_animated_seed = False, True
-    scene.cycles.use_denoising = True
+    scene.cycles.use_denoising = denoise
     scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
     scene.cycles.sample_clamp_indirect = 6.0
     for name in PASSES:
@@ -392,11 +392,14 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--frames", type=int, default=17, help="length of the shot")
     parser.add_argument("--only", type=int, nargs="*", help="render these frames alone")
     parser.add_argument("--size", default="480x270", help="width x height in pixels")
-    parser.add_argument("--samples", type=int, default=64)
+    parser.add_argument("--samples", type=int, default=48)
+    parser.add_argument(
+        "--denoise", action=argparse.BooleanOptionalAction, default=True, help="off: for builds without"
+    )
     options = parser.parse_args(arguments)
     width, height = (int(n) for n in options.size.split("x"))
     build(options.frames)
-    configure((width, height), options.samples, options.frames)
+    configure((width, height), options.samples, options.frames, options.denoise)
     out, frames = options.out.resolve(), options.only or list(range(1, options.frames + 1))
     out.mkdir(parents=True, exist_ok=True)
     (out / "shot.json").write_text(
