@@ -203,18 +203,17 @@ def fill(
 ) -> Float[Tensor, "b 3 h w"]:
     """The image with the pixels outside `mask` replaced by the far side of what surrounds them, holes of any size.
 
-    Push-pull: each coarser level keeps, of every 2 x 2, the mean of what lies in its farthest tenth; holes take the
-    next coarser level. Unmasked images without any pixel stay black.
+    Push-pull: each coarser level is the mean, over 2 x 2, of the pixels that nothing in the 5 x 5 around lies behind by
+    more than a tenth; holes take the next coarser level. An image without any unmasked pixel becomes black.
     """
     if max(color.shape[-2:]) == 1:
         return torch.where(mask, color, 0)
     height, width = color.shape[-2:]
     grow = (0, width % 2, 0, height % 2)
     far = torch.where(mask, depth, 0)
-    farthest = F.max_pool2d(F.pad(far, grow), 2)
-    kept = mask & (far >= 0.9 * F.interpolate(farthest, scale_factor=2.0)[:, :, :height, :width])
+    kept = mask & (far >= 0.9 * F.max_pool2d(far, 5, stride=1, padding=2))
     weight = F.avg_pool2d(F.pad(kept.float(), grow), 2)
     mean = F.avg_pool2d(F.pad(color * kept, grow), 2) / weight.clamp(min=1e-6)
-    coarse = fill(mean, farthest, weight > 0)
+    coarse = fill(mean, F.max_pool2d(F.pad(far * kept, grow), 2), weight > 0)
     smooth = F.interpolate(coarse, scale_factor=2.0, mode="bilinear")[:, :, :height, :width]
     return torch.where(mask, color, smooth)
