@@ -77,11 +77,11 @@ def with_means(rows: Sequence[Row]) -> list[Row]:
 
 
 def shown(values: Mapping[str, float], metric: str) -> dict[str, tuple[str, bool]]:
-    """Each method's value as text, and whether no other one is better as shown (always False for a single method)."""
+    """Each method's value as text, and whether it is the best as shown (none is where all are equal)."""
     digits, higher = DIGITS.get(metric, 4), is_higher_better(metric)
     texts = {method: f"{value:.{digits}f}" for method, value in values.items()}
     best = (max if higher else min)(texts.values(), key=float, default="")
-    return {method: (text, text == best and len(texts) > 1) for method, text in texts.items()}
+    return {method: (text, text == best and len(set(texts.values())) > 1) for method, text in texts.items()}
 
 
 def is_higher_better(metric: str) -> bool:

@@ -1,6 +1,7 @@
 """The evaluation protocol: what is hidden, what counts, which pixels are disoccluded, and what the file says."""
 
 import json
+import runpy
 import statistics
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -296,6 +297,8 @@ def test_tables_show_each_clip_and_the_mean_with_the_best_in_bold() -> None:
     assert list(first.columns[1].cells) == ["20.00", "[bold]24.00[/bold]"]
     assert list(first.columns[2].cells) == ["[bold]0.1000[/bold]", "0.2000"]  # less is better
     assert list(mean.columns[1].cells) == ["[bold]25.00[/bold]", "24.50"]
+    equal = tables([replace(r, value=1.0) for r in ROWS if r.role == "generated"])
+    assert not any("bold" in str(cell) for table in equal.values() for column in table.columns for cell in column.cells)
     changed = [replace(r, value=40.0) if r.role == "shaded" else r for r in ROWS]
     assert "a: shaded frames, interpolate" in tables(changed)
 
@@ -348,3 +351,24 @@ def test_command_takes_every_method_that_fits(
     printed = capsys.readouterr()
     assert "hold, blend on disc" in printed.out
     assert protocol.lpips_missing() is None or "LPIPS is left out" in printed.err
+
+
+def test_the_quality_page_holds_the_rows(disc_clip: Clip, tmp_path: Path) -> None:
+    script = Path(__file__).parents[1] / "benchmarks" / "quality.py"
+    other = write_disc_clip(tmp_path / "other", 5)
+    output, path = tmp_path / "page.md", tmp_path / "rows.json"
+    main = runpy.run_path(str(script))["main"]
+    main((disc_clip.path, other.path), output, methods="hold,blend", metrics=("psnr", "flip"), json=path)
+    lines, rows = output.read_text().splitlines(), with_means(read_results(path))
+    head = lines.index("## Interpolate: disoccluded pixels")
+    assert lines[head + 2] == "| method | disc | other | mean |"
+
+    def cell(clip: str, metric: str, digits: int) -> str:
+        keys = ("interpolate", "generated", "disoccluded", metric, clip)
+        found = {r.method: r.value for r in rows if (r.mode, r.role, r.region, r.metric, r.clip) == keys}
+        best = (max if metric == "psnr" else min)(found.values()) == found["blend"]
+        return f"**{found['blend']:.{digits}f}**" if best else f"{found['blend']:.{digits}f}"
+
+    cells = [f"{cell(clip, 'psnr', 2)} / {cell(clip, 'flip', 4)}" for clip in ("disc", "other", "mean")]
+    assert lines[head + 5] == f"| blend | {' | '.join(cells)} |"
+    assert "## Extrapolate: milliseconds a frame" in lines
