@@ -157,6 +157,14 @@ def test_motion_blur_is_noticed_without_cameras_and_depth(tmp_path: Path) -> Non
         open_shot(tmp_path)
 
 
+def test_a_shot_that_moves_in_a_few_frames_only_has_vectors(tmp_path: Path) -> None:
+    for number in range(1, 6):  # something jumps between the frames 1 and 3 that are looked at, seen by frame 2 alone
+        depth = np.full((6, 8), 4.0)
+        depth[2:4, 2:4] = 4.0 if number == 1 else 2.0
+        render(tmp_path, number, Depth={"Z": depth}, Vector=dict.fromkeys("XYZW", float(number == 2)))
+    assert open_shot(tmp_path)[1].motion.abs().max() == 1
+
+
 def test_a_still_shot_under_changing_light_may_have_no_motion(tmp_path: Path) -> None:
     depth = 4 + np.random.rand(6, 8) * 0.001
     for number in (1, 2, 3):
