@@ -80,12 +80,7 @@ class Canvas:
         run.set_bind_group(0, self.groups["view"])
         for draw in self.draws:
             if draw.material.alpha_mode != "blend":
-                mirror = self.view.plane is not None
-                run.set_pipeline(
-                    passes.gbuffer(
-                        draw.material.alpha_mode == "mask", draw.material.double_sided, draw.flipped != mirror, mirror
-                    )
-                )
+                run.set_pipeline(passes.gbuffer(passes.variant(draw, mirrored=self.view.plane is not None)))
                 self._draw(run, draw)
         run.end()
 
@@ -108,7 +103,7 @@ class Canvas:
         run.set_bind_group(0, self.groups["view"])
         run.set_bind_group(2, self.groups["lighting"])
         for draw in glass:
-            run.set_pipeline(passes.glass(draw.material.double_sided, draw.flipped))
+            run.set_pipeline(passes.glass(passes.variant(draw, mirrored=False)))
             self._draw(run, draw)
         run.end()
 

@@ -14,9 +14,9 @@ Array = np.ndarray
 
 LIGHT = np.dtype(
     [("color", "f4", 3), ("kind", "u4"), ("position", "f4", 3), ("radius", "f4"), ("direction", "f4", 3), ("reach", "f4")]
-    + [("inner", "f4"), ("outer", "f4"), ("shadow", "u4"), ("shadows", "u4")]
+    + [("inner", "f4"), ("outer", "f4"), ("shadow", "u4"), ("shadows", "u4"), ("splits", "f4", 4)]
 )  # fmt: skip
-MAP = np.dtype([("matrix", "f4", (4, 4)), ("texel", "f4"), ("range", "f4"), ("layer", "u4"), ("far", "f4")])
+MAP = np.dtype([("matrix", "f4", (4, 4)), ("texel", "f4"), ("range", "f4"), ("layer", "u4"), ("pad", "u4")])
 KINDS = {"sun": 0, "point": 1, "spot": 2}
 
 
@@ -59,13 +59,13 @@ class Lighting:
                 mine = shadows.sun_maps(light, pose, view, scene.shadow_distance, self.stage.extent, layers[kind])
             elif light.casts_shadow:
                 mine = shadows.lamp_maps(light, pose, layers[kind])
-            packed[k] = _packed(light, pose, light.dimmer(time), len(maps), len(mine))
+            packed[k] = _packed(light, pose, light.dimmer(time), len(maps), mine)
             layers[kind] += len(mine)
             maps += mine
         device.write(self.light_buffer, packed)
         device.write(self.instances, self.stage.instances(time, view))
         if maps:
-            rows = [(m.matrix.T, m.texel, m.range, m.layer, m.far) for m in maps]
+            rows = [(m.matrix.T, m.texel, m.range, m.layer, 0) for m in maps]
             device.write(self.map_buffer, np.array(rows, MAP))
             self._draw(time, maps, packed)
 
@@ -100,12 +100,13 @@ class Lighting:
 _ANY = View(np.eye(4), np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0], [0, 0, -1, 0]]))
 
 
-def _packed(light: Light, pose: LightPose, dimmer: float, first: int, count: int) -> tuple:
+def _packed(light: Light, pose: LightPose, dimmer: float, first: int, maps: list[shadows.ShadowMap]) -> tuple:
     color = np.asarray(light.color, np.float64) * light.intensity * dimmer
     direction = np.asarray(pose.direction, np.float64)
     direction = direction / max(np.linalg.norm(direction), 1e-9)
+    splits = ([m.far for m in maps] + [0.0] * 4)[:4]
     cones = np.cos(min(light.inner_cone, light.outer_cone - 1e-3)), np.cos(light.outer_cone)
-    return (color, KINDS[light.kind], pose.position, light.radius, direction, light.reach, *cones, first, count)
+    return (color, KINDS[light.kind], pose.position, light.radius, direction, light.reach, *cones, first, len(maps), splits)
 
 
 def pack(

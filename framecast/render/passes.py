@@ -1,7 +1,7 @@
 """Pipelines: how each shader is run. One function per pass, each made once per variant."""
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 from framecast.render import device
 from framecast.render.stage import Draw, surface_layout
@@ -99,16 +99,48 @@ def _depth(compare: str, writes: bool) -> dict:
     return {"format": DEPTH, "depth_write_enabled": writes, "depth_compare": compare}
 
 
+class Variant(NamedTuple):
+    """What a pipeline that draws surfaces is made for."""
+
+    mask: bool
+    double_sided: bool
+    flipped: bool
+    """Front faces wind clockwise."""
+    clip: bool
+    """Seen in a mirror: what lies behind its plane is cut away."""
+    textures: tuple[bool, bool, bool, bool]
+    """Base, normal, roughness and metallic, emissive: whether there is one."""
+
+    @property
+    def constants(self) -> dict[str, int]:
+        """Overrides of geometry.wgsl."""
+        values = (self.mask, self.clip, *self.textures)
+        return dict(zip(("MASK", "CLIP", "BASE", "BUMPS", "SURFACE", "GLOW"), map(int, values), strict=True))
+
+
+def variant(draw: Draw, *, mirrored: bool) -> Variant:
+    """The variant that a draw needs."""
+    m = draw.material
+    textures = (m.base_texture, m.normal_texture, m.roughness_metallic_texture, m.emissive_texture)
+    present = [texture is not None for texture in textures]
+    return Variant(
+        m.alpha_mode == "mask",
+        m.double_sided,
+        draw.flipped != mirrored,
+        mirrored,
+        (present[0], present[1], present[2], present[3]),
+    )
+
+
 @functools.cache
-def gbuffer(mask: bool, double_sided: bool, flipped: bool, clip: bool) -> Any:
+def gbuffer(kind: Variant) -> Any:
     """First pass: surfaces."""
-    constants = {"MASK": int(mask), "CLIP": int(clip)}
     return _pipeline(
         device.shader("geometry", "gbuffer"),
         (layout("view"), surface_layout()),
-        vertex={"buffers": [_stream(0), _attributes(1, 3)], "constants": constants},
-        fragment={"targets": [{"format": form} for form in FORMATS.values()], "constants": constants},
-        primitive=_faces(double_sided, flipped),
+        vertex={"buffers": [_stream(0), _attributes(1, 3)], "constants": kind.constants},
+        fragment={"targets": [{"format": form} for form in FORMATS.values()], "constants": kind.constants},
+        primitive=_faces(kind.double_sided, kind.flipped),
         depth_stencil=_depth("greater", writes=True),
     )
 
@@ -175,7 +207,7 @@ def light(surface: str) -> Any:
 
 
 @functools.cache
-def glass(double_sided: bool, flipped: bool) -> Any:
+def glass(kind: Variant) -> Any:
     """Surfaces that let light through, lit while they are drawn over the picture."""
     add = {"src_factor": "src-alpha", "dst_factor": "one-minus-src-alpha", "operation": "add"}
     keep = {"src_factor": "zero", "dst_factor": "one", "operation": "add"}
@@ -183,9 +215,9 @@ def glass(double_sided: bool, flipped: bool) -> Any:
     return _pipeline(
         device.shader("geometry", "lighting", "shadow_lookup", "shade", "glass"),
         (layout("view"), surface_layout(), layout("lighting")),
-        vertex={"buffers": [_stream(0), _attributes(1, 3)]},
-        fragment={"targets": [target]},
-        primitive=_faces(double_sided, flipped),
+        vertex={"buffers": [_stream(0), _attributes(1, 3)], "constants": kind.constants},
+        fragment={"targets": [target], "constants": kind.constants},
+        primitive=_faces(kind.double_sided, kind.flipped),
         depth_stencil=_depth("greater", writes=False),
     )
 

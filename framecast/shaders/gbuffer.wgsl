@@ -6,7 +6,7 @@ struct Corner {
     @location(1) normal: vec3f,
     @location(2) tangent: vec4f,
     @location(3) uv: vec2f,
-    @location(4) @interpolate(flat) index: u32,
+    @location(4) @interpolate(flat) object: u32,
 };
 
 @vertex
@@ -25,7 +25,7 @@ fn vertex(
     out.normal = turn_normal(instance.model, normal);
     out.tangent = vec4f((instance.model * vec4f(tangent.xyz, 0.0)).xyz, tangent.w);
     out.uv = uv;
-    out.index = index;
+    out.object = instance.object | (instance.mirror << 16u);
     return out;
 }
 
@@ -39,11 +39,8 @@ struct Sample {
 
 @fragment
 fn fragment(in: Corner, @builtin(front_facing) front: bool) -> Sample {
-    let base = textureSampleBias(base_map, base_sampler, in.uv, view.lod_bias) * material.base;
-    let mapped = textureSampleBias(normal_map, normal_sampler, in.uv, view.lod_bias).xyz * 2.0 - 1.0;
-    let surface = textureSampleBias(surface_map, surface_sampler, in.uv, view.lod_bias);
-    let glow = textureSampleBias(emissive_map, emissive_sampler, in.uv, view.lod_bias).rgb;
-    if (MASK && base.a < material.cutoff) {
+    let t = texels(in.uv);
+    if (MASK && t.base.a < material.cutoff) {
         discard;
     }
     if (CLIP && dot(view.plane, vec4f(in.world, 1.0)) < 0.0) {
@@ -51,16 +48,11 @@ fn fragment(in: Corner, @builtin(front_facing) front: bool) -> Sample {
     }
     let side = select(-1.0, 1.0, front);
     let n = normalize(in.normal) * side;
-    let t = normalize(in.tangent.xyz - n * dot(n, in.tangent.xyz));
-    let b = cross(n, t) * in.tangent.w * side;
-    let local = vec3f(mapped.xy * material.normal_scale, mapped.z);
-    let bent = normalize(t * local.x + b * local.y + n * max(local.z, 0.05));
-    let instance = instances[in.index];
     var out: Sample;
-    out.albedo = vec4f(base.rgb, clamp(surface.g * material.roughness, 0.0, 1.0));
-    out.normal = vec4f(bent, clamp(surface.b * material.metallic, 0.0, 1.0));
-    out.emissive = vec4f(min(glow * material.emissive, vec3f(6e4)), 0.0);
+    out.albedo = vec4f(t.base.rgb, t.roughness);
+    out.normal = vec4f(bent(n, in.tangent, t.normal, side), t.metallic);
+    out.emissive = vec4f(t.emissive, 0.0);
     out.geometric = fold(n);
-    out.object = instance.object | (instance.mirror << 16u);
+    out.object = in.object;
     return out;
 }

@@ -26,8 +26,12 @@ struct Material {
     pad: f32,
 };
 
-override MASK = false;
-override CLIP = false;
+override MASK = false;          // alpha-tested
+override CLIP = false;          // seen in a mirror
+override BASE = false;          // which textures there are
+override BUMPS = false;
+override SURFACE = false;
+override GLOW = false;
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> instances: array<Instance>;
@@ -56,4 +60,46 @@ fn fold(n: vec3f) -> vec2f {
     let p = n.xy / (abs(n.x) + abs(n.y) + abs(n.z));
     let around = (1.0 - abs(p.yx)) * select(vec2f(-1.0), vec2f(1.0), p >= vec2f(0.0));
     return select(p, around, n.z < 0.0);
+}
+
+// What the textures say of a surface; 1, or straight up, where there is none.
+struct Texels {
+    base: vec4f,
+    normal: vec3f,
+    roughness: f32,
+    metallic: f32,
+    emissive: vec3f,
+};
+
+fn texels(uv: vec2f) -> Texels {
+    var t = Texels(vec4f(1.0), vec3f(0.0, 0.0, 1.0), 1.0, 1.0, vec3f(1.0));
+    if (BASE) {
+        t.base = textureSampleBias(base_map, base_sampler, uv, view.lod_bias);
+    }
+    if (BUMPS) {
+        t.normal = textureSampleBias(normal_map, normal_sampler, uv, view.lod_bias).xyz * 2.0 - 1.0;
+    }
+    if (SURFACE) {
+        let surface = textureSampleBias(surface_map, surface_sampler, uv, view.lod_bias);
+        t.roughness = surface.g;
+        t.metallic = surface.b;
+    }
+    if (GLOW) {
+        t.emissive = textureSampleBias(emissive_map, emissive_sampler, uv, view.lod_bias).rgb;
+    }
+    t.base *= material.base;
+    t.roughness = clamp(t.roughness * material.roughness, 0.0, 1.0);
+    t.metallic = clamp(t.metallic * material.metallic, 0.0, 1.0);
+    t.emissive = min(t.emissive * material.emissive, vec3f(6e4));
+    return t;
+}
+
+// A tangent-space normal in the world; `side` is -1 on the back of a surface.
+fn bent(n: vec3f, tangent: vec4f, local: vec3f, side: f32) -> vec3f {
+    if (!BUMPS) {
+        return n;
+    }
+    let t = normalize(tangent.xyz - n * dot(n, tangent.xyz));
+    let b = cross(n, t) * tangent.w * side;
+    return normalize(t * local.x * material.normal_scale + b * local.y * material.normal_scale + n * max(local.z, 0.05));
 }

@@ -29,27 +29,21 @@ fn vertex(
 
 @fragment
 fn fragment(in: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
-    let base = textureSampleBias(base_map, base_sampler, in.uv, view.lod_bias) * material.base;
-    let mapped = textureSampleBias(normal_map, normal_sampler, in.uv, view.lod_bias).xyz * 2.0 - 1.0;
-    let rough = textureSampleBias(surface_map, surface_sampler, in.uv, view.lod_bias);
-    let glow = textureSampleBias(emissive_map, emissive_sampler, in.uv, view.lod_bias).rgb;
+    let t = texels(in.uv);
     let side = select(-1.0, 1.0, front);
     let n = normalize(in.normal) * side;
-    let t = normalize(in.tangent.xyz - n * dot(n, in.tangent.xyz));
-    let b = cross(n, t) * in.tangent.w * side;
-    let local = vec3f(mapped.xy * material.normal_scale, mapped.z);
     var s: Surface;
     s.position = in.world;
     s.depth = 1.0 / in.position.w;
     s.pixel = in.position.xy;
-    s.normal = normalize(t * local.x + b * local.y + n * max(local.z, 0.05));
+    s.normal = bent(n, in.tangent, t.normal, side);
     s.geometric = n;
-    s.albedo = base.rgb;
-    s.roughness = clamp(rough.g * material.roughness, 0.0, 1.0);
-    s.metallic = clamp(rough.b * material.metallic, 0.0, 1.0);
-    s.emissive = glow * material.emissive;
+    s.albedo = t.base.rgb;
+    s.roughness = t.roughness;
+    s.metallic = t.metallic;
+    s.emissive = t.emissive;
     s.occlusion = 1.0;
     let seen = radiance(s);
     // what it reflects comes on top of what shines through
-    return vec4f(through_air(s, seen.diffuse + seen.gloss / max(base.a, 0.05)), base.a);
+    return vec4f(through_air(s, seen.diffuse + seen.gloss / max(t.base.a, 0.05)), t.base.a);
 }

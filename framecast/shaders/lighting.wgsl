@@ -31,6 +31,7 @@ struct Light {
     outer: f32,
     shadow: u32,        // first of its shadow maps
     shadows: u32,       // how many; 0: casts none
+    splits: vec4f,      // sun: view depths up to which each of its three cascades is good
 };
 
 struct ShadowMap {
@@ -38,7 +39,7 @@ struct ShadowMap {
     texel: f32,         // sun: width of a texel in scene units; others: at distance 1
     range: f32,         // sun: scene units from depth 1 to depth 0; others: the near distance
     layer: u32,
-    far: f32,           // sun: view depth up to which this cascade is good
+    pad: u32,
 };
 
 @group(2) @binding(0) var<uniform> frame: Frame;

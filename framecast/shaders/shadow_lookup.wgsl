@@ -39,17 +39,14 @@ fn sun_map(map: ShadowMap, position: vec3f, penumbra: f32, start: vec2f) -> f32 
 }
 
 fn sun_shadow(light: Light, s: Surface, start: vec2f) -> f32 {
-    let slope = 1.0 - abs(dot(s.geometric, light.direction));
-    for (var k = 0u; k < light.shadows; k++) {
-        let map = shadow_maps[light.shadow + k];
-        if (s.depth < map.far) {
-            let position = s.position + s.geometric * map.texel * (1.0 + 2.0 * slope) - light.direction * map.texel;
-            let lit = sun_map(map, position, light.radius, start);
-            let fade = smoothstep(0.9, 1.0, s.depth / map.far);
-            return select(lit, mix(lit, 1.0, fade), k + 1u == light.shadows);
-        }
+    let cascade = select(0u, 1u, s.depth > light.splits.x) + select(0u, 1u, s.depth > light.splits.y);
+    if (s.depth > light.splits.z) {
+        return 1.0;
     }
-    return 1.0;
+    let map = shadow_maps[light.shadow + cascade];
+    let slope = 1.0 - abs(dot(s.geometric, light.direction));
+    let position = s.position + s.geometric * map.texel * (1.0 + 2.0 * slope) - light.direction * map.texel;
+    return mix(sun_map(map, position, light.radius, start), 1.0, smoothstep(0.9, 1.0, s.depth / light.splits.z));
 }
 
 // Which of a lamp's maps looks along `d` (from the lamp): the faces +x -x +y -y +z -z of a cube, or the only one.
