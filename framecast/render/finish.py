@@ -4,8 +4,6 @@ Every scene uses these functions, training and held-out alike; the patterns are 
 sRGB, 0..1, the way a palette is picked; `Material` holds linear factors, and textures are stored as sRGB bytes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -14,13 +12,13 @@ from numpy.typing import ArrayLike
 from framecast.render.scene import Material, Texture
 
 
-def linear(colour: ArrayLike) -> Float[ndarray, ...]:
+def linear(colour: ArrayLike) -> Float[ndarray, "..."]:
     """Linear light of sRGB values in 0..1 (IEC 61966-2-1)."""
     c = np.asarray(colour, np.float64)
     return np.where(c <= 0.04045, c / 12.92, ((np.maximum(c, 0.0) + 0.055) / 1.055) ** 2.4)
 
 
-def rgb(code: str) -> Float[ndarray, 3]:
+def rgb(code: str) -> Float[ndarray, "3"]:
     """sRGB colour, 0..1, of six hexadecimal digits."""
     return np.array([int(code[k : k + 2], 16) / 255 for k in (0, 2, 4)])
 

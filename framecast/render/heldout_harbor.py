@@ -1,7 +1,5 @@
 """Held-out scene: boats at a quay at sunset, waves, rigging, a turning beam. See docs/scenes.md."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +8,16 @@ from numpy.random import Generator
 
 from framecast.render.finish import plain, rgb
 from framecast.render.heldout_shapes import (
-    bar, block, boat_hull, cord, hanging, pillar, pillow, sheet, stone,
-)  # fmt: skip
+    bar,
+    block,
+    boat_hull,
+    cord,
+    hanging,
+    pillar,
+    pillow,
+    sheet,
+    stone,
+)
 from framecast.render.heldout_textures import cloth, concrete, decking, flagstones, painted_hull, veiled, water
 from framecast.render.mesh import from_grid, join, placed, standing
 from framecast.render.motion import aim, move, scale, turn, unit
@@ -22,7 +28,9 @@ Parts = list[tuple[Mesh, Material]]
 
 
 def harbor(seed: int) -> Scene:
-    """Boats rock on a deforming sea under a setting sun; cordage one pixel wide, gulls cross fast, a lighthouse turns."""
+    """Boats rock on a deforming sea under a setting sun;
+    cordage one pixel wide, gulls cross fast, a lighthouse turns.
+    """
     rng = np.random.default_rng([seed, 11])
     paving, wall = flagstones(rng, rgb("a89c88")), concrete(rng, rgb("8f8b84"))
     planks = decking(rng, rgb("8a6a4a"))
@@ -70,7 +78,7 @@ def harbor(seed: int) -> Scene:
         angle = side * (0.34 - 0.006 * time)
         return aim((12.0 * np.sin(angle), 3.0, -1 + 11.0 * np.cos(angle)), (-0.4, 1.9, -3.5))
 
-    sky = dome(rgb("4a6fae"), rgb("f2b98a"), rgb("2f3b46"), -sun_travel(low, west), (5.0, 2.6, 1.2))
+    sky = dome(rgb("3f6cb4"), rgb("f0b98c"), rgb("8a7268"), -sun_travel(low, west), (5.0, 2.6, 1.2))
     return Scene(
         name="harbor",
         instances=tuple(instances),
@@ -79,7 +87,7 @@ def harbor(seed: int) -> Scene:
             Light("spot", (1.0, 0.95, 0.8), 900.0, beam, radius=0.2, inner_cone=0.10, outer_cone=0.2, reach=60.0),
         ),
         camera=Camera(camera, np.radians(52)),
-        sky=Sky(veiled(rng, sky, (1.1, 0.62, 0.5), 0.6)),
+        sky=Sky(veiled(rng, sky, (1.0, 0.58, 0.45), 0.5)),
         exposure=lambda time: 1.05,
         haze=0.006,
         shadow_distance=45.0,
@@ -107,7 +115,9 @@ def sea(rng: Generator, number: int) -> list[Instance]:
     def pose(time: float) -> Pose:
         return Pose(np.eye(4), morph_weights=np.array([f(rate * time) for rate in rates for f in (np.cos, np.sin)]))
 
-    return [Instance(moving, water(rng, rgb("16323a")), number, pose, casts_shadow=False)]
+    look = water(rng, rgb("16323a"))
+    far = placed(sheet(900, 300, 1, None, 5.0), move(0, -0.02, -233))
+    return [Instance(moving, look, number, pose, casts_shadow=False), Instance(far, look, casts_shadow=False)]
 
 
 def pier(planks: Material, wall: Material) -> Parts:
@@ -124,7 +134,7 @@ def pier(planks: Material, wall: Material) -> Parts:
             (hanging((x, 1.6, a), (x, 1.6, b), 0.28, 0.022), rope) for a, b in ((-2.6, 0.4), (0.4, 3.4), (3.4, 6.0))
         ]
     crate = plain(rgb("a8824f"), 0.8)
-    for x, z, s in ((3.6, 7.4, 0.8), (4.5, 7.2, 0.6), (3.7, 7.4, 0.55)):
+    for x, z, s in ((-4.4, 7.2, 0.8), (-5.2, 7.5, 0.6), (-4.4, 7.2, 0.55)):
         y = 1.2 + s / 2 + (0.8 if s == 0.55 else 0)
         parts += [
             (placed(block(s, 0.14 * s, s, 0.01), move(x, y + (j - 2) * 0.19 * s, z), turn("y", s)), crate)
@@ -255,8 +265,15 @@ def boat(
             @ turn("z", 0.5 * sway * np.sin(0.061 * time + phase[2]))
         )
 
-    pieces: Parts = [(boat_hull(long, wide, top * 1.9), paint), (deck, planks), (join(cabin), trim), (join(glass), plain(rgb("10181c"), 0.06)), (join(spars), wood),
-                     (join(lines + rails + posts), metal), (furled, canvas)]  # fmt: skip
+    pieces: Parts = [
+        (boat_hull(long, wide, top * 1.9), paint),
+        (deck, planks),
+        (join(cabin), trim),
+        (join(glass), plain(rgb("10181c"), 0.06)),
+        (join(spars), wood),
+        (join(lines + rails + posts), metal),
+        (furled, canvas),
+    ]
     instances = [Instance(mesh, material, number, lambda time: Pose(place(time))) for mesh, material in pieces]
     flag = pennant(1.3, 0.4)
     shift = move(*peak)

@@ -1,10 +1,8 @@
 """Shapes of the held-out scenes: lofted rings, extruded outlines, pillows, bars, strips; and things built from them.
 
-All sizes in metres; texture coordinates in metres over `tile`, the size of one repeat, unless said otherwise. The training
-scenes have their own file and share none of these functions.
+All sizes in metres; texture coordinates in metres over `tile`, the size of one repeat, unless said otherwise. The
+training scenes have their own file and share none of these functions.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable
 
@@ -44,7 +42,9 @@ def outline_ring(outline: Float[ndarray, "k 2"], z: float, shrink: float = 1.0) 
 
 
 def prism(outline: ArrayLike, depth: float, bevel: float = 0.0, tile: float = 1.0) -> Mesh:
-    """An outline (k 2), counter-clockwise and seen whole from the origin, extruded from z = 0 to `depth`, edges bevelled."""
+    """An outline (k 2), counter-clockwise and seen whole from the origin, extruded from z = 0 to `depth`,
+    edges bevelled.
+    """
     flat = np.asarray(outline, np.float64)
     shrink = 1 - bevel / float(np.linalg.norm(flat, axis=1).max())
     rings = [
@@ -85,9 +85,19 @@ def pillow(x: float, y: float, z: float, power: float = 0.5, steps: int = 24) ->
 
     latitude = np.linspace(-np.pi / 2, np.pi / 2, steps // 2 + 1)[1:-1]
     longitude = np.linspace(0, 2 * np.pi, steps, endpoint=False)
-    rings = np.stack([
-        np.stack([x * bend(np.cos(a)) * bend(np.cos(longitude)), np.full(steps, y * bend(np.sin(a))),
-                  -z * bend(np.cos(a)) * bend(np.sin(longitude))], axis=1) for a in latitude])  # fmt: skip
+    rings = np.stack(
+        [
+            np.stack(
+                [
+                    x * bend(np.cos(a)) * bend(np.cos(longitude)),
+                    np.full(steps, y * bend(np.sin(a))),
+                    -z * bend(np.cos(a)) * bend(np.sin(longitude)),
+                ],
+                axis=1,
+            )
+            for a in latitude
+        ]
+    )
     return loft(rings, crease=50)
 
 
@@ -246,7 +256,9 @@ def swept_roof(x: float, z: float, rise: float, flare: float) -> Mesh:
 
 
 def fronds(rng: Generator, count: int, long: float, wide: float, droop: float) -> Mesh:
-    """A crown of arching leaves from the origin; each leaf a bent strip that shows the texture once, its foot inside."""
+    """A crown of arching leaves from the origin;
+    each leaf a bent strip that shows the texture once, its foot inside.
+    """
     parts = []
     for k in range(count):
         angle, lift = 2 * np.pi * (k * 0.382 % 1), rng.uniform(0.2, 1.1)
@@ -274,9 +286,15 @@ def cloud_crown(rng: Generator, centres: Float[ndarray, "k 3"], radius: float, e
             up = np.cross(look, side)
             middle = centre + out * (1, 0.45, 1) * radius * rng.uniform(0.5, 1.0)
             corners = [middle + size * (a * side + b * up) for a, b in ((-1, 1), (-1, -1), (1, -1), (1, 1))]
-            normals = np.tile(unit(out + (0, 0.5, 0)), (4, 1))
-            parts.append(Mesh(np.array(corners, np.float32), normals.astype(np.float32), np.array([(0, 0), (0, 1), (1, 1), (1, 0)], np.float32),
-                              np.array([0, 1, 2, 0, 2, 3], np.uint32)))  # fmt: skip
+            normals = np.tile(unit(out + np.array([0, 0.5, 0])), (4, 1))
+            parts.append(
+                Mesh(
+                    np.array(corners, np.float32),
+                    normals.astype(np.float32),
+                    np.array([(0, 0), (0, 1), (1, 1), (1, 0)], np.float32),
+                    np.array([0, 1, 2, 0, 2, 3], np.uint32),
+                )
+            )
     return join(parts)
 
 

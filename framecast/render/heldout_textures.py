@@ -1,10 +1,8 @@
 """Textures of the held-out scenes, each a Material from a random generator and a palette. All tile unless noted.
 
-They are made of noise shaped in the frequency domain and of cells around scattered points; the training scenes have their
-own file and share none of these functions.
+They are made of noise shaped in the frequency domain and of cells around scattered points; the training scenes have
+their own file and share none of these functions.
 """
-
-from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -58,7 +56,7 @@ def concrete(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
     cloud, fine = spectral(rng, size, 1.8), spectral(rng, size, 0.9)
     _, y = pixel_grid(size)
     line = step(np.minimum((y * 4) % 1, 1 - (y * 4) % 1), 0.012, 0.0)
-    pits = step(fine, 0.12, 0.05)
+    pits = step(fine, 0.06, 0.01) * 0.6
     tone = 0.9 + 0.4 * (cloud - 0.5) + 0.2 * (fine - 0.5) - 0.2 * line - 0.25 * pits
     return textured(
         np.asarray(colour) * tone[..., None], 0.5 * fine + 0.3 * cloud - line - pits, 4, 0.75 + 0.3 * (cloud - 0.5)
@@ -143,9 +141,9 @@ def panels(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
     )
     rivet = step(np.hypot(rivet_x, rivet_y), 0.022, 0.012) * (np.abs(near_seam - 0.44) < 0.035)
     stain = spectral(rng, size, 1.9, 0.5)
-    tone = 0.85 + 0.18 * rng.random(16)[x.astype(int) + 4 * y.astype(int)] + 0.4 * (stain - 0.5)
-    albedo = np.asarray(colour) * (tone * (0.4 + 0.6 * seam))[..., None]
-    return textured(albedo, 0.5 * seam + 0.6 * rivet, 4, 0.38 + 0.5 * (stain - 0.5), 0.85)
+    tone = 0.85 + 0.18 * rng.random(16)[x.astype(int) + 4 * y.astype(int)] + 0.2 * (stain - 0.5)
+    albedo = np.asarray(colour) * (tone * (0.55 + 0.45 * seam))[..., None]
+    return textured(albedo, 0.5 * seam + 0.6 * rivet, 4, 0.45 + 0.3 * (stain - 0.5), 0.35)
 
 
 def hangar_floor(rng: Generator, colour: ArrayLike, size: int = 1024) -> Material:
@@ -192,10 +190,10 @@ def spun_metal(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
     """Metal turned on a lathe, seen once on a disc: fine rings about the middle, a little tarnish."""
     x, y = pixel_grid(size)
     radius = np.hypot(x - 0.5, y - 0.5)
-    rings = rng.random(400)[np.minimum((radius * 520).astype(int), 399)]
+    rings = rng.random(160)[np.minimum((radius * 220).astype(int), 159)]
     tarnish = spectral(rng, size, 1.9)
     albedo = mix(np.asarray(colour) * (0.85 + 0.2 * rings)[..., None], rgb("5a3c22"), step(tarnish, 0.62, 1.0) * 0.7)
-    return textured(albedo, rings, 0.8, 0.18 + 0.3 * step(tarnish, 0.4, 0.9) + 0.1 * rings, 1.0)
+    return textured(albedo, rings, 0.3, 0.18 + 0.3 * step(tarnish, 0.4, 0.9) + 0.1 * rings, 1.0)
 
 
 def dial(rng: Generator, paper: ArrayLike, ink: ArrayLike, size: int = 1024) -> Material:
@@ -226,7 +224,7 @@ def figured_wood(rng: Generator, colour: ArrayLike, gloss: float = 0.25, size: i
     """Walnut under varnish: growth rings bent by knots, chatoyant bands."""
     x, _ = pixel_grid(size)
     bend = spectral(rng, size, 2.2, 0.4)
-    ring = 0.5 + 0.5 * np.sin(2 * np.pi * (6 * x + 9 * bend))
+    ring = 0.5 + 0.5 * np.sin(2 * np.pi * (4 * x + 5 * bend))
     pore = spectral(rng, size, 0.8, 0.08)
     albedo = mix(np.asarray(colour) * 0.55, np.asarray(colour) * 1.15, 0.7 * ring + 0.3 * pore)
     return textured(albedo, pore, 1.0, gloss + 0.15 * pore)

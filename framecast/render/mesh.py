@@ -4,8 +4,6 @@ Every scene uses these functions, training and held-out alike; what a thing look
 Positions are metres, right-handed, y up. Matrices are column-vector matrices, `p' = M @ p`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -57,7 +55,9 @@ def unique_rows(rows: Int[ndarray, "n k"]) -> tuple[Int[ndarray, " u"], Int[ndar
 def crease_normals(
     weld: Int[ndarray, " n"], weighted: Float[ndarray, "n 3"], unit: Float[ndarray, "n 3"], crease: float
 ) -> Float[ndarray, "n 3"]:
-    """Unit normal per corner: the area-weighted sum over corners of the same `weld` whose faces meet within `crease`."""
+    """Unit normal per corner: the area-weighted sum over corners of the same `weld` whose faces meet within
+    `crease`.
+    """
     order = np.argsort(weld, kind="stable")
     starts = np.flatnonzero(np.diff(weld[order], prepend=-1))
     counts = np.diff(np.append(starts, len(order)))
@@ -76,7 +76,9 @@ def crease_normals(
 
 
 def grid_triangles(rows: int, columns: int) -> Int[ndarray, "t 3"]:
-    """Two triangles for every cell of a `rows` x `columns` lattice of points, row-major; (rows down) x (columns) faces."""
+    """Two triangles for every cell of a `rows` x `columns` lattice of points, row-major;
+    (rows down) x (columns) faces.
+    """
     a = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)[None]).reshape(-1)
     quad = np.stack([a, a + columns, a + columns + 1, a, a + columns + 1, a + 1], axis=1)
     return quad.reshape(-1, 3).astype(np.int64)
@@ -100,7 +102,9 @@ def join(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def placed(mesh: Mesh, *matrices: Float[ndarray, "4 4"]) -> Mesh:
-    """The mesh moved by the product of the matrices; a mirroring product turns the triangles so that they still face out."""
+    """The mesh moved by the product of the matrices;
+    a mirroring product turns the triangles so that they still face out.
+    """
     matrix = np.linalg.multi_dot([np.eye(4), np.eye(4), *matrices])
     linear = matrix[:3, :3]
     normals = mesh.normals @ np.linalg.inv(linear)

@@ -3,8 +3,6 @@
 Matrices are 4x4, column vectors, metres, right-handed, y up. A camera looks down its own -z. Angles are radians.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -26,7 +24,9 @@ def scale(x: float, y: float | None = None, z: float | None = None) -> Float[nda
 
 
 def turn(axis: str | ArrayLike, angle: float) -> Float[ndarray, "4 4"]:
-    """Rotation by `angle` radians about 'x', 'y', 'z' or a vector through the origin, counter-clockwise seen from its tip."""
+    """Rotation by `angle` radians about 'x', 'y', 'z' or a vector through the origin,
+    counter-clockwise seen from its tip.
+    """
     named = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
     x, y, z = unit(named[axis] if isinstance(axis, str) else axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -35,7 +35,7 @@ def turn(axis: str | ArrayLike, angle: float) -> Float[ndarray, "4 4"]:
     return matrix
 
 
-def unit(vector: ArrayLike) -> Float[ndarray, 3]:
+def unit(vector: ArrayLike) -> Float[ndarray, "3"]:
     """The vector at length one."""
     array = np.asarray(vector, np.float64)
     return array / np.linalg.norm(array)
@@ -51,7 +51,7 @@ def aim(position: ArrayLike, target: ArrayLike, roll: float = 0.0) -> Float[ndar
     return matrix @ turn("z", roll)
 
 
-def along(points: ArrayLike, time: float) -> Float[ndarray, 3]:
+def along(points: ArrayLike, time: float) -> Float[ndarray, "3"]:
     """Point at `time` in [0, 1] of the uniform Catmull-Rom curve through the points (k 3); clamped at both ends."""
     knots = np.asarray(points, np.float64)
     knots = np.concatenate([2 * knots[:1] - knots[1:2], knots, 2 * knots[-1:] - knots[-2:-1]])
@@ -68,7 +68,7 @@ def ease(time: float, start: float, end: float) -> float:
     return t * t * (3 - 2 * t)
 
 
-def shake(seed: int, time: float, speed: float = 1.0) -> Float[ndarray, 3]:
+def shake(seed: int, time: float, speed: float = 1.0) -> Float[ndarray, "3"]:
     """Three smooth, aperiodic signals of about unit size, like a hand that holds a camera; `time` in frames."""
     phases = np.random.default_rng([seed, 77]).uniform(0, 2 * np.pi, (3, 4))
     rates = np.array([0.11, 0.23, 0.41, 0.83]) * speed
@@ -79,7 +79,9 @@ def shake(seed: int, time: float, speed: float = 1.0) -> Float[ndarray, 3]:
 def handheld(
     camera: Float[ndarray, "4 4"], seed: int, time: float, angle: float, shift: float = 0.0
 ) -> Float[ndarray, "4 4"]:
-    """The camera with hand shake: about `angle` radians of pan, tilt and (half as much) roll, `shift` metres sideways."""
+    """The camera with hand shake: about `angle` radians of pan, tilt and (half as much) roll,
+    `shift` metres sideways.
+    """
     pan, tilt, roll = angle * shake(seed, time)
     x, y, z = shift * shake(seed + 1, time)
     return camera @ move(x, y, z) @ turn("y", pan) @ turn("x", tilt) @ turn("z", roll / 2)
@@ -97,6 +99,6 @@ def frame_along(path: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3 3"]:
     return np.stack(frames)
 
 
-def bounds(points: Sequence[Float[ndarray, "n 3"]]) -> tuple[Float[ndarray, 3], Float[ndarray, 3]]:
+def bounds(points: Sequence[Float[ndarray, "n 3"]]) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"]]:
     """(lowest, highest) corner of the box around all points."""
     return np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)

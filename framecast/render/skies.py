@@ -4,8 +4,6 @@ Shared by every scene; clouds, hills and skylines are textures and belong to the
 are equirectangular, linear radiance: the top row looks to +y, the middle column to -z, columns run towards +x.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,7 +26,9 @@ def directions(height: int) -> Float[ndarray, "h w 3"]:
 def dome(
     zenith: ArrayLike, horizon: ArrayLike, ground: ArrayLike, sun: ArrayLike, glow: ArrayLike, height: int = 320
 ) -> Float[ndarray, "h w 3"]:
-    """Sky over ground of the sRGB colours given, with the light `glow` (linear) scattered around the direction `sun`."""
+    """Sky over ground of the sRGB colours given,
+    with the light `glow` (linear) scattered around the direction `sun`.
+    """
     look = directions(height)
     up = look[..., 1:2]
     sky = linear(horizon) + (linear(zenith) - linear(horizon)) * np.clip(up, 0, 1) ** 0.5

@@ -1,9 +1,7 @@
-"""A walking person made in code: a skeleton of 15 joints, skinned limbs and clothes, and a walk whose feet do not slide.
+"""A walking person made in code: 15 joints, skinned limbs and clothes, and a walk whose feet do not slide.
 
 The person stands on y = 0 at the origin, looks along +z and is about 1.75 m tall. Used by training scenes only.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -45,7 +43,9 @@ STRIDE = 1.1
 
 
 def skinned(mesh: Mesh, chain: Sequence[str], axis: int = 1, soft: float = 0.07) -> Mesh:
-    """The mesh bound to a chain of joints listed from the top down (at most four), blended over ±`soft` m at each joint."""
+    """The mesh bound to a chain of joints listed from the top down (at most four),
+    blended over ±`soft` m at each joint.
+    """
     heights = [JOINTS[name][1][axis] for name in chain[1:]]
     y = mesh.positions[:, axis]
     below = [np.clip((h + soft - y) / (2 * soft), 0, 1) for h in heights]
@@ -82,8 +82,19 @@ def limb(stations: ArrayLike, sides: int = 14) -> Mesh:
 def clothes() -> dict[str, Mesh]:
     """Skinned parts of the rest pose by material: skin, top, trousers, shoes, hair."""
     parts: dict[str, list[Mesh]] = {name: [] for name in ("skin", "top", "trousers", "shoes", "hair")}
-    torso = limb([(0, 1.47, 0, 0.07), (0, 1.44, 0, 0.13), (0, 1.36, 0, 0.165), (0, 1.25, 0, 0.165), (0, 1.10, 0, 0.145),
-                  (0, 0.97, 0, 0.165), (0, 0.86, 0, 0.17), (0, 0.84, 0, 0.16)], 22)  # fmt: skip
+    torso = limb(
+        [
+            (0, 1.47, 0, 0.07),
+            (0, 1.44, 0, 0.13),
+            (0, 1.36, 0, 0.165),
+            (0, 1.25, 0, 0.165),
+            (0, 1.10, 0, 0.145),
+            (0, 0.97, 0, 0.165),
+            (0, 0.86, 0, 0.17),
+            (0, 0.84, 0, 0.16),
+        ],
+        22,
+    )
     parts["top"].append(skinned(placed(torso, scale(1.12, 1, 0.74)), ("chest", "hips")))
     pelvis = placed(limb([(0, 1.0, 0, 0.12), (0, 0.92, 0, 0.155), (0, 0.84, 0, 0.13)], 18), scale(1.1, 1, 0.75))
     parts["trousers"].append(skinned(pelvis, ("hips",)))
@@ -94,15 +105,42 @@ def clothes() -> dict[str, Mesh]:
     cap = placed(ball(0.108, 24), move(0, 1.675, 0.0), scale(0.86, 1.02, 0.98))
     parts["hair"].append(skinned(cap, ("head",)))
     for side, s in (("left", 1), ("right", -1)):
-        leg = limb([(0.1 * s, 0.93, 0, 0.095), (0.1 * s, 0.75, 0, 0.088), (0.1 * s, 0.5, 0.01, 0.066), (0.1 * s, 0.35, -0.005, 0.064),
-                    (0.1 * s, 0.1, -0.01, 0.056)])  # fmt: skip
+        leg = limb(
+            [
+                (0.1 * s, 0.93, 0, 0.095),
+                (0.1 * s, 0.75, 0, 0.088),
+                (0.1 * s, 0.5, 0.01, 0.066),
+                (0.1 * s, 0.35, -0.005, 0.064),
+                (0.1 * s, 0.1, -0.01, 0.056),
+            ]
+        )
         parts["trousers"].append(skinned(leg, (f"thigh_{side}", f"shin_{side}")))
-        shoe = placed(limb([(0, 0, -0.085, 0.035), (0, 0, -0.04, 0.052), (0, 0, 0.06, 0.046), (0, 0, 0.15, 0.045), (0, 0, 0.18, 0.03)], 12),
-                      move(0.1 * s, 0.045, 0), scale(0.95, 0.85, 1))  # fmt: skip
+        shoe = placed(
+            limb(
+                [
+                    (0, 0, -0.085, 0.035),
+                    (0, 0, -0.04, 0.052),
+                    (0, 0, 0.06, 0.046),
+                    (0, 0, 0.15, 0.045),
+                    (0, 0, 0.18, 0.03),
+                ],
+                12,
+            ),
+            move(0.1 * s, 0.045, 0),
+            scale(0.95, 0.85, 1),
+        )
         sole = placed(box(0.09, 0.03, 0.28, 0.012), move(0.1 * s, 0.015, 0.045))
         parts["shoes"] += [skinned(shoe, (f"foot_{side}",)), skinned(sole, (f"foot_{side}",))]
-        sleeve = limb([(0.17 * s, 1.43, 0, 0.06), (0.205 * s, 1.39, 0, 0.066), (0.22 * s, 1.26, 0, 0.056), (0.235 * s, 1.13, 0, 0.047),
-                       (0.242 * s, 1.0, 0.015, 0.043), (0.245 * s, 0.92, 0.025, 0.040)])  # fmt: skip
+        sleeve = limb(
+            [
+                (0.17 * s, 1.43, 0, 0.06),
+                (0.205 * s, 1.39, 0, 0.066),
+                (0.22 * s, 1.26, 0, 0.056),
+                (0.235 * s, 1.13, 0, 0.047),
+                (0.242 * s, 1.0, 0.015, 0.043),
+                (0.245 * s, 0.92, 0.025, 0.040),
+            ]
+        )
         parts["top"].append(skinned(sleeve, (f"arm_{side}", f"forearm_{side}")))
         hand = limb(
             [
@@ -145,7 +183,9 @@ def walk_joints(distance: float) -> Float[ndarray, "j 4 4"]:
 
 
 def leg_angles(phase: float, bob: float) -> tuple[float, float, float]:
-    """(thigh, knee, foot pitch) about +x in radians; the foot stands for phase 0..0.6 and swings forward for the rest."""
+    """(thigh, knee, foot pitch) about +x in radians;
+    the foot stands for phase 0..0.6 and swings forward for the rest.
+    """
     stand, reach = 0.6, 0.6 * STRIDE / 2
     if phase < stand:
         z, lift, pitch = (

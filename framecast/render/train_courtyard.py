@@ -1,7 +1,5 @@
 """Training scene: a courtyard with arcades under a fast sun. See docs/scenes.md."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -18,14 +16,23 @@ from framecast.render.train_character import walker
 from framecast.render.train_plants import branches, leaf_cards, swaying, wind
 from framecast.render.train_shapes import arch, box, cylinder, gable, lathe, level, railing, wire
 from framecast.render.train_textures import (
-    bark, boards, clouds_over, cobbles, leaf_cluster, plaster, roof_tiles, scratched_paint,
-)  # fmt: skip
+    bark,
+    boards,
+    clouds_over,
+    cobbles,
+    leaf_cluster,
+    plaster,
+    roof_tiles,
+    scratched_paint,
+)
 
 Parts = list[tuple[Mesh, Material]]
 
 
 def courtyard(seed: int) -> Scene:
-    """A walled court: arcades, a fountain, a tree in the wind, washing on a line, someone walking, the camera in orbit."""
+    """A walled court: arcades, a fountain, a tree in the wind, washing on a line, someone walking,
+    the camera in orbit.
+    """
     rng = np.random.default_rng([seed, 1])
     wall = plaster(rng, rgb(["d9b382", "d8a07a", "cdb79a", "c9806a"][seed % 4]))
     stone = plaster(rng, rgb("cfc4ae"))
@@ -90,7 +97,9 @@ def side(
 
 
 def window(frame: Material, glass: Material, shutter: Material, opened: float) -> Parts:
-    """A window on a wall in the xy plane, centred on the origin, with two louvred shutters turned by `opened` radians."""
+    """A window on a wall in the xy plane, centred on the origin,
+    with two louvred shutters turned by `opened` radians.
+    """
     parts: Parts = [(placed(box(1.0, 1.5, 0.04, 0.0), move(0, 0, 0.0)), glass)]
     parts += [(placed(box(0.12, 1.74, 0.16, 0.02), move(x, 0, 0.03)), frame) for x in (-0.56, 0.56)]
     parts += [
@@ -187,7 +196,7 @@ def fountain(rng: Generator, stone: Material) -> Parts:
 def tree(rng: Generator, place: Float[ndarray, "4 4"], number: int) -> list[Instance]:
     """A tree whose crown sways; wood stands still."""
     wood, tips = branches(rng, 5.2, 0.9)
-    crown = swaying(leaf_cards(rng, tips, 0.42, 3), 4.0, 0.12)
+    crown = swaying(leaf_cards(rng, tips, 0.42, 6), 4.0, 0.12)
     leaf = leaf_cluster(rng, rgb(str(rng.choice(["5f7f38", "7b8f45", "4f7440"]))))
     phase = rng.uniform(0, 6)
     return [
@@ -215,7 +224,7 @@ def washing(
             np.sin(5 * sheet.uvs[:, :1] + phase) + 0.6 * np.cos(7 * sheet.uvs[:, 1:] + 2 * phase)
             for phase in (0, np.pi / 2)
         ]
-        keys = np.stack([0.16 * lift * w * face for w in wave]).astype(np.float32)
+        keys = np.stack([0.2 * lift * w * face for w in wave]).astype(np.float32)
         cloth = plain(
             np.clip(rgb(str(rng.choice(["f2efe6", "d8e4ee", "c0493c", "e8c878", "5c7fa8"]))), 0, 1), 0.9, both=True
         )

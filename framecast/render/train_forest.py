@@ -1,7 +1,5 @@
 """Training scene: a walk through a sunlit wood, everything alpha-tested and moving. See docs/scenes.md."""
 
-from __future__ import annotations
-
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -18,7 +16,9 @@ from framecast.render.train_textures import bark, clouds_over, frond, leaf_clust
 
 
 def forest(seed: int) -> Scene:
-    """A path between trees: swaying crowns, ferns and grass, falling leaves, hand-held walk, low light through leaves."""
+    """A path between trees: swaying crowns, ferns and grass, falling leaves, hand-held walk,
+    low light through leaves.
+    """
     rng = np.random.default_rng([seed, 6])
     ridges = rng.uniform(0, 6, 4)
     season = rgb([("5d7f33"), ("b5762a"), ("7f9440"), ("4f7a3c")][seed % 4])
@@ -43,10 +43,19 @@ def forest(seed: int) -> Scene:
     instances += falling_leaves(rng, season)
     log = tube([(-0.6, 0, 0), (1.2, 0.04, 0.1), (3.2, 0, 0)], [0.26, 0.24, 0.2], 16, 0.7)
     instances.append(
-        Instance(placed(log, move(bend(np.array(-7.0)) + 1.5, 0.28, -7.2), turn("y", 0.5)), bark(rng, rgb("6f6250")))
+        Instance(
+            placed(log, move(float(bend(np.array(-7.0))) + 1.5, 0.28, -7.2), turn("y", 0.5)), bark(rng, rgb("6f6250"))
+        )
     )
-    stones = [placed(ball(1.0, 20, 0.5), move(x, float(height(np.array(x), np.array(z))), z), turn("y", x), scale(r, 0.6 * r, 0.8 * r))
-              for x, z, r in zip(rng.uniform(-5, 5, 14), rng.uniform(-20, 1, 14), rng.uniform(0.15, 0.5, 14), strict=True)]  # fmt: skip
+    stones = [
+        placed(
+            ball(1.0, 20, 0.5),
+            move(x, float(height(np.array(x), np.array(z))), z),
+            turn("y", x),
+            scale(r, 0.6 * r, 0.8 * r),
+        )
+        for x, z, r in zip(rng.uniform(-5, 5, 14), rng.uniform(-20, 1, 14), rng.uniform(0.15, 0.5, 14), strict=True)
+    ]
     instances.append(Instance(join(stones), plaster(rng, rgb("8f8f86"), 1.0)))
     travel = sun_travel(rng.uniform(0.55, 0.8), rng.choice([-1, 1]) * rng.uniform(0.5, 0.9))
     sky = clouds_over(rng, dome(rgb("7fa6cf"), rgb("dfe6dc"), rgb("4a4c38"), -travel, (2.0, 1.7, 1.2)), 0.4)
@@ -75,12 +84,12 @@ def trees(rng: Generator, height, bend, season: Float[ndarray, "3"]) -> list[Ins
     The crowns of the six nearest bend (shape keys); those behind rock on their trunks, which costs nothing.
     """
     kinds = []
-    for _ in range(3):
-        wood, tips = branches(rng, 9.5, 0.8, 2)
-        tips = np.repeat(tips, 3, axis=0)
+    for k in range(6):
+        wood, tips = branches(rng, 9.5, 0.8, 2 if k < 3 else 1)
+        tips = np.repeat(tips, 3 if k < 3 else 9, axis=0)
         tips[:, 0] += rng.normal(0, 0.35, tips[:, 0].shape)
         kinds.append((wood, leaf_cards(rng, tips, 0.62, 2)))
-    bending = [swaying(crown, 7.0, 0.16) for _, crown in kinds]
+    bending = [swaying(crown, 7.0, 0.16) for _, crown in kinds[:3]]
     trunk = bark(rng, rgb("7d6a52"))
     leaves = [leaf_cluster(rng, np.clip(season * f, 0, 1)) for f in (0.9, 1.1, 1.3)]
     instances, wood_parts = [], []
@@ -94,7 +103,8 @@ def trees(rng: Generator, height, bend, season: Float[ndarray, "3"]) -> list[Ins
             @ turn("y", rng.uniform(0, 6))
             @ scale(rng.uniform(0.8, 1.25))
         )
-        wood_parts.append(placed(kinds[k % 3][0], place))
+        wood, crown = kinds[k % 3 + (3 if k > 14 else 0)]
+        wood_parts.append(placed(wood, place))
         phase = rng.uniform(0, 6)
 
         def bend_pose(time: float, place: ndarray = place, phase: float = phase) -> Pose:
@@ -105,7 +115,7 @@ def trees(rng: Generator, height, bend, season: Float[ndarray, "3"]) -> list[Ins
             return Pose(place @ turn("z", a) @ turn("x", b))
 
         near = 3 <= k < 9
-        crown = bending[k % 3] if near else kinds[k % 3][1]
+        crown = bending[k % 3] if near else crown
         instances.append(Instance(crown, leaves[k % 3], 10 + k, bend_pose if near else rock_pose))
     return [Instance(join(wood_parts), trunk), *instances]
 

@@ -1,7 +1,5 @@
 """Trees, bushes, ferns and grass of the training scenes, as trunks plus alpha-tested cards, and how they sway."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -47,7 +45,9 @@ def branches(rng: Generator, height: float, spread: float, levels: int = 3) -> t
 
 
 def leaf_cards(rng: Generator, tips: Float[ndarray, "k 2 3"], size: float, each: int = 2) -> Mesh:
-    """Bent cards at the twigs, `each` per twig; their normals point away from the crown's middle, which shades it softly."""
+    """Bent cards at the twigs, `each` per twig;
+    their normals point away from the crown's middle, which shades it softly.
+    """
     middle = tips[:, 0].mean(axis=0) - (0, size, 0)
     points, uvs = [], []
     for place, direction in np.repeat(tips, each, axis=0):

@@ -1,7 +1,5 @@
 """Things that training scenes are furnished with: vehicles, lamps, benches, shelves, each as (mesh, material) parts."""
 
-from __future__ import annotations
-
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -50,7 +48,9 @@ def car(rng: Generator) -> Parts:
 
 
 def tapered(x: float, y: float, z: float, inset: float) -> Mesh:
-    """A bevelled box standing on the origin whose top is narrower, by `inset` along x and 0.3 of it along z, at both ends."""
+    """A bevelled box standing on the origin whose top is narrower, by `inset` along x and 0.3 of it along z,
+    at both ends.
+    """
     mesh = placed(box(x, y, z, 0.05), move(0, y / 2, 0))
     shrink = mesh.positions[:, 1:2] / y * inset * np.array([[2.0 / x, 0.0, 0.6 / z]])
     points = (mesh.positions * (1 - shrink)).astype(np.float32)
@@ -71,7 +71,9 @@ def rolling(parts: Parts, number: int, path, radius: float, axles: tuple[float, 
 
 
 def tram(rng: Generator) -> Parts:
-    """A tram without wheels, 13 m long along x, standing on y = 0: windows with posts, doors, roof boxes, a pantograph."""
+    """A tram without wheels, 13 m long along x, standing on y = 0:
+    windows with posts, doors, roof boxes, a pantograph.
+    """
     paint = plain(rgb(str(rng.choice(["a8262c", "1f5c4a", "c98a1b", "24508c"]))), 0.25)
     cream, glass = plain(rgb("eee6d0"), 0.35), plain(rgb("131c22"), 0.05)
     dark, steel = plain(rgb("2a2b2d"), 0.5), plain(rgb("b8b8b4"), 0.3, 1.0)

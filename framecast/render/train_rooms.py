@@ -1,7 +1,5 @@
 """Training scenes indoors: a workshop under a swinging lamp, a gallery with a polished floor. See docs/scenes.md."""
 
-from __future__ import annotations
-
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -13,10 +11,16 @@ from framecast.render.motion import aim, along, handheld, move, turn, unit
 from framecast.render.scene import Camera, Instance, Light, LightPose, Material, Mesh, Mirror, Pose, Scene, Sky
 from framecast.render.skies import room
 from framecast.render.train_props import at, bench, bottles
-from framecast.render.train_shapes import ball, box, cylinder, fan_blades, knot, lathe, level, tube, wheel, wire
+from framecast.render.train_shapes import ball, box, cylinder, fan_blades, knot, lathe, level, tube, wire
 from framecast.render.train_textures import (
-    boards, bricks, brushed_steel, canvas_painting, marble_checks, plaster, scratched_paint,
-)  # fmt: skip
+    boards,
+    bricks,
+    brushed_steel,
+    canvas_painting,
+    marble_checks,
+    plaster,
+    scratched_paint,
+)
 
 Parts = list[tuple[Mesh, Material]]
 
@@ -36,7 +40,7 @@ def workshop(seed: int) -> Scene:
     wood, dark_wood = boards(rng, rgb("b98a57"), 7), boards(rng, rgb("6f4a2e"), 5, 0.6)
     brick = bricks(rng, rgb(["99604a", "8c6a58", "b0a294", "84594a"][seed % 4]))
     steel = brushed_steel(rng, rgb("b9bcc0"))
-    parts = [(level(8, 7, 1.6), boards(rng, rgb("94795a"), 8, 0.32))] + walls(8, 7, 3.4, 1.05, brick)
+    parts: Parts = [(level(8, 7, 1.6), boards(rng, rgb("94795a"), 8, 0.32)), *walls(8, 7, 3.4, 1.05, brick)]
     parts += [(placed(level(8.2, 7.2, 2.0), move(0, 3.4, 0), turn("x", np.pi)), dark_wood)]
     parts += [(placed(box(0.2, 0.28, 7, 0.02, 1.5), move(x, 3.26, 0)), dark_wood) for x in (-2.6, 0, 2.6)]
     parts += workbench(rng, wood, dark_wood, steel)
@@ -53,7 +57,7 @@ def workshop(seed: int) -> Scene:
     def camera(time: float) -> ndarray:
         eye = along(path, time / 90)
         look = along([(-1.0, 1.25, -3), (-0.4, 1.2, -3), (0.6, 1.2, -3)], time / 90)
-        return handheld(aim(eye + (0, 0.025 * np.sin(0.62 * time), 0), look), seed, time, 0.008, 0.01)
+        return handheld(aim(eye + np.array([0, 0.025 * np.sin(0.62 * time), 0]), look), seed, time, 0.008, 0.01)
 
     return Scene(
         name="workshop",
@@ -83,8 +87,12 @@ def workbench(rng: Generator, wood: Material, legs: Material, steel: Material) -
     parts += [
         (placed(box(0.11, 0.86, 0.11, 0.012), move(x, 0.43, z)), legs) for x in (-2.5, -0.8, 0.9) for z in (-3.3, -2.6)
     ]
-    vice = [placed(box(0.14, 0.2, 0.16, 0.02), move(0, 0.1, 0)), placed(box(0.14, 0.16, 0.05, 0.01), move(0, 0.17, 0.19)),
-            tube([(0, 0.12, 0), (0, 0.12, 0.34)], 0.018, 8), tube([(-0.12, 0.12, 0.33), (0.12, 0.14, 0.33)], 0.009, 6)]  # fmt: skip
+    vice = [
+        placed(box(0.14, 0.2, 0.16, 0.02), move(0, 0.1, 0)),
+        placed(box(0.14, 0.16, 0.05, 0.01), move(0, 0.17, 0.19)),
+        tube([(0, 0.12, 0), (0, 0.12, 0.34)], 0.018, 8),
+        tube([(-0.12, 0.12, 0.33), (0.12, 0.14, 0.33)], 0.009, 6),
+    ]
     parts.append((placed(join(vice), move(0.4, 0.945, -2.72)), plain(rgb("2f5a78"), 0.4, 0.5)))
     parts += at(move(-2.3, 0.945, -3.15), bottles(rng, 1.2, 8))
     parts.append((placed(box(2.4, 1.0, 0.03, 0.005, 1.0), move(-0.9, 1.9, -3.47)), legs))
@@ -163,10 +171,23 @@ def floor_fan(rng: Generator, place: Float[ndarray, "4 4"], number: int) -> list
     grey, blade = plain(rgb("33383d"), 0.4, 0.7), plain(rgb(str(rng.choice(["d8b23a", "b8bcc0", "b5472f"]))), 0.3, 0.5)
     head = move(0, 1.25, 0) @ turn("x", np.pi / 2)
     angle = np.linspace(0, 2 * np.pi, 41)
-    rings = [tube(np.stack([r * np.cos(angle), 0 * angle + h, r * np.sin(angle)], axis=1), 0.006, 5, closed=True)
-             for r, h in ((0.5, 0.0), (0.49, 0.12), (0.34, 0.16), (0.2, 0.18), (0.49, -0.12))]  # fmt: skip
-    bars = [tube([(0.06 * np.cos(a), 0.18, 0.06 * np.sin(a)), (0.35 * np.cos(a), 0.16, 0.35 * np.sin(a)), (0.5 * np.cos(a), 0.06, 0.5 * np.sin(a)),
-                  (0.5 * np.cos(a), -0.12, 0.5 * np.sin(a))], 0.004, 4) for a in np.linspace(0, 2 * np.pi, 33)[:-1]]  # fmt: skip
+    rings = [
+        tube(np.stack([r * np.cos(angle), 0 * angle + h, r * np.sin(angle)], axis=1), 0.006, 5, closed=True)
+        for r, h in ((0.5, 0.0), (0.49, 0.12), (0.34, 0.16), (0.2, 0.18), (0.49, -0.12))
+    ]
+    bars = [
+        tube(
+            [
+                (0.06 * np.cos(a), 0.18, 0.06 * np.sin(a)),
+                (0.35 * np.cos(a), 0.16, 0.35 * np.sin(a)),
+                (0.5 * np.cos(a), 0.06, 0.5 * np.sin(a)),
+                (0.5 * np.cos(a), -0.12, 0.5 * np.sin(a)),
+            ],
+            0.004,
+            4,
+        )
+        for a in np.linspace(0, 2 * np.pi, 33)[:-1]
+    ]
     stand = [
         cylinder(0.3, 0.05, 32),
         cylinder(0.03, 1.2, 12),

@@ -4,8 +4,6 @@ All sizes in metres; texture coordinates are metres too, divided by `tile`, the 
 have their own file and share none of these functions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 
@@ -82,7 +80,9 @@ def cylinder(radius: float, height: float, segments: int = 24, bevel: float = 0.
 
 
 def tube(path: ArrayLike, radius: ArrayLike, sides: int = 8, tile: float = 1.0, closed: bool = False) -> Mesh:
-    """A round bar along the polyline (k 3), of one radius or one per point; its ends are capped unless the path is closed."""
+    """A round bar along the polyline (k 3), of one radius or one per point;
+    its ends are capped unless the path is closed.
+    """
     line = np.asarray(path, np.float64)
     frames = frame_along(line)
     if closed:
@@ -120,7 +120,9 @@ def level(x: float, z: float, tile: float = 1.0) -> Mesh:
 
 
 def arch(span: float, spring: float, top: float, thick: float, tile: float = 1.0, pier: float = 0.4) -> Mesh:
-    """A wall in the xy plane from y = 0 to `top` with a round-arched opening `span` wide that springs at height `spring`."""
+    """A wall in the xy plane from y = 0 to `top` with a round-arched opening `span` wide that springs at height
+    `spring`.
+    """
     angle = np.linspace(np.pi, 0, 17)
     r, outer = span / 2, span / 2 + pier
     bend = np.stack([r * np.cos(angle), spring + r * np.sin(angle)], axis=1)

@@ -4,8 +4,6 @@ They are made of gradient noise on a lattice and of regular courses (bricks, boa
 their own file and share none of these functions.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
@@ -35,7 +33,9 @@ def lattice_noise(rng: Generator, size: int, cells: tuple[int, int]) -> Float[nd
 
 
 def clouds(rng: Generator, size: int, cells: int = 4, octaves: int = 5, stretch: int = 1) -> Float[ndarray, "h w"]:
-    """Sum of octaves of gradient noise, 0..1 around 0.5; `stretch` > 1 draws it out along the rows' direction (down)."""
+    """Sum of octaves of gradient noise, 0..1 around 0.5;
+    `stretch` > 1 draws it out along the rows' direction (down).
+    """
     total = np.zeros((size, size), np.float32)
     for k in range(octaves):
         across = cells * 2**k * stretch
@@ -128,7 +128,7 @@ def marble_checks(rng: Generator, light: ArrayLike, dark: ArrayLike, size: int =
     x, y = pixel_grid(size)
     column, row = (x * 4).astype(int), (y * 4).astype(int)
     odd = (column + row) % 2
-    warp = clouds(rng, size, 4, 6)
+    warp = clouds(rng, size, 4, 5)
     vein = step(np.abs(np.sin(9 * (x + y + 1.7 * warp + 0.4 * vary(rng, row * 4 + column)))), 0.12, 0.0)
     seam = step(
         np.minimum(np.minimum((x * 4) % 1, 1 - (x * 4) % 1), np.minimum((y * 4) % 1, 1 - (y * 4) % 1)), 0.0, 0.012
@@ -198,7 +198,7 @@ def canvas_painting(rng: Generator, palette: Float[ndarray, "k 3"], size: int = 
     """An abstract painting: flat shapes in a grid of brush strokes and hard fine lines, for high frequencies."""
     x, y = pixel_grid(size)
     albedo = np.ones((size, size, 3)) * palette[0]
-    for k in range(26):
+    for _ in range(26):
         cx, cy, wide, tall, lean = rng.uniform((0, 0, 0.03, 0.03, -1.5), (1, 1, 0.35, 0.35, 1.5))
         u, v = (x - cx) * np.cos(lean) + (y - cy) * np.sin(lean), (y - cy) * np.cos(lean) - (x - cx) * np.sin(lean)
         kind = rng.integers(3)
@@ -206,7 +206,7 @@ def canvas_painting(rng: Generator, palette: Float[ndarray, "k 3"], size: int = 
         stripes = 0.5 + 0.5 * np.sign(np.sin(u * rng.uniform(60, 260))) if kind == 2 else 1.0
         albedo = mix(albedo, palette[rng.integers(len(palette))], step(inside, 1.0, 0.98) * stripes)
     weave = 0.5 + 0.25 * (np.sin(x * 2 * np.pi * 128) + np.sin(y * 2 * np.pi * 128))
-    stroke = clouds(rng, size, 6, 4, stretch=4)
+    stroke = clouds(rng, size, 6, 3, stretch=4)
     return textured(albedo * (0.85 + 0.3 * (stroke - 0.5))[..., None], weave * 0.4 + stroke, 2, 0.6)
 
 

@@ -1,6 +1,4 @@
-"""Held-out scenes of machines: a hangar with a walking robot, a clockwork seen close. See docs/scenes.md."""
-
-from __future__ import annotations
+"""Held-out scene: a hangar with a walking robot, seen by a still camera. See docs/scenes.md."""
 
 from dataclasses import replace
 
@@ -11,11 +9,26 @@ from numpy.random import Generator
 
 from framecast.render.finish import plain, rgb
 from framecast.render.heldout_shapes import (
-    bar, block, cord, disc_outline, gear, hanging, loft, outline_ring, picture, pillar, pillow, prism, propeller, sheet,
-)  # fmt: skip
+    bar,
+    block,
+    cord,
+    disc_outline,
+    hanging,
+    loft,
+    picture,
+    pillar,
+    pillow,
+    prism,
+    propeller,
+    sheet,
+)
 from framecast.render.heldout_textures import (
-    concrete, dial, figured_wood, hangar_floor, panels, screen, spun_metal, weave,
-)  # fmt: skip
+    concrete,
+    hangar_floor,
+    panels,
+    screen,
+    weave,
+)
 from framecast.render.mesh import join, placed, standing
 from framecast.render.motion import aim, move, scale, turn, unit
 from framecast.render.scene import Camera, Instance, Light, LightPose, Material, Mesh, Mirror, Pose, Scene, Sky
@@ -25,7 +38,9 @@ Parts = list[tuple[Mesh, Material]]
 
 
 def hangar(seed: int) -> Scene:
-    """A still camera: a four-legged robot walks past a plane whose propeller turns, on a mirroring floor, in a sweeping light."""
+    """A still camera: a four-legged robot walks past a plane whose propeller turns, on a mirroring floor,
+    in a sweeping light.
+    """
     rng = np.random.default_rng([seed, 12])
     floor = Instance(
         placed(sheet(26, 20, 1, None, 6.5), move(0, 0, -4)),
@@ -141,8 +156,12 @@ def aeroplane(rng: Generator, number: int) -> list[Instance]:
     )
     flat = disc_outline(1.0, 26)
     rings = np.stack([np.column_stack([np.full(26, x), flat[:, 1] * b + y, flat[:, 0] * a]) for x, a, b, y in stations])
-    body = [loft(rings[:, ::-1], crease=60), placed(wing(9.5, 1.45), move(0.7, 0.62, 0)), placed(wing(3.0, 0.8), move(-3.6, 0.4, 0)),
-            placed(wing(2.4, 0.95), move(-3.65, 0.45, 0), turn("x", np.pi / 2), move(0, 0, 0.55), scale(1, 1, 0.6))]  # fmt: skip
+    body = [
+        loft(rings[:, ::-1], crease=60),
+        placed(wing(9.5, 1.45), move(0.7, 0.62, 0)),
+        placed(wing(3.0, 0.8), move(-3.6, 0.4, 0)),
+        placed(wing(2.4, 0.95), move(-3.65, 0.45, 0), turn("x", np.pi / 2), move(0, 0, 0.55), scale(1, 1, 0.6)),
+    ]
     glass = placed(pillow(0.85, 0.46, 0.50, 0.8), move(0.35, 0.62, 0))
     legs = [bar([(0.9, -0.5, 0), (1.0, -1.0, s * 0.9), (1.0, -1.42, s * 1.0)], 0.08, 0.08) for s in (-1, 1)]
     tyres = [placed(prism(disc_outline(0.3, 24), 0.16, 0.05), move(1.0, -1.45, s * 1.0 - 0.08)) for s in (-1, 1)]
@@ -183,7 +202,9 @@ UPPER, LOWER, HIP = 0.42, 0.44, 0.78
 
 
 def robot_joints(distance: float) -> Float[ndarray, "j 4 4"]:
-    """Joint matrices (pose @ inverse rest) after trotting `distance` metres along +x: body, then upper and lower leg of each.
+    """Joint matrices (pose @ inverse rest) after trotting `distance` metres along +x: the body, then each leg.
+
+    Two joints a leg, upper and lower.
 
     Diagonal legs move together; a standing foot keeps its place on the ground.
     """
@@ -249,18 +270,35 @@ def robot(rng: Generator, number: int) -> list[Instance]:
                 1 + 2 * k,
             )
         )
-        lower.append(bound(join([placed(prism(disc_outline(0.06, 20), 0.10, 0.01), move(x, HIP - UPPER, z - 0.05 + out)),
-                                 bar([(x, HIP - UPPER, z + out), (x, HIP - UPPER - 0.2, z + out), (x, 0.0, z + out)], 0.05, 0.045)]), 2 + 2 * k))  # fmt: skip
+        lower.append(
+            bound(
+                join(
+                    [
+                        placed(prism(disc_outline(0.06, 20), 0.10, 0.01), move(x, HIP - UPPER, z - 0.05 + out)),
+                        bar(
+                            [(x, HIP - UPPER, z + out), (x, HIP - UPPER - 0.2, z + out), (x, 0.0, z + out)], 0.05, 0.045
+                        ),
+                    ]
+                ),
+                2 + 2 * k,
+            )
+        )
         pads.append(
             bound(placed(pillow(0.05, 0.045, 0.045, 0.9, 14), move(x, HIP - UPPER - LOWER + 0.03, z + out)), 2 + 2 * k)
         )
-    speed, begin, lane = 1.1 / 30, rng.uniform(-2.6, -1.6), rng.uniform(-2.6, -1.8)
+    speed, begin, lane = 1.1 / 30, rng.uniform(-2.6, -1.6), rng.uniform(0.2, 0.9)
 
     def pose(time: float) -> Pose:
         return Pose(np.eye(4), joints=move(begin + speed * time, 0, lane) @ robot_joints(speed * time))
 
-    pieces = [(bound(hull, 0), shell), (bound(trim, 0), black), (bound(eyes, 0), plain(rgb("6fe0ff"), 0.2, 0.0, 20.0)),
-              (skins(upper), fibre), (skins(lower), black), (skins(pads), plain(rgb("b0402a"), 0.8))]  # fmt: skip
+    pieces = [
+        (bound(hull, 0), shell),
+        (bound(trim, 0), black),
+        (bound(eyes, 0), plain(rgb("6fe0ff"), 0.2, 0.0, 20.0)),
+        (skins(upper), fibre),
+        (skins(lower), black),
+        (skins(pads), plain(rgb("b0402a"), 0.8)),
+    ]
     return [Instance(mesh, material, number, pose) for mesh, material in pieces]
 
 
@@ -299,142 +337,17 @@ def drone(rng: Generator, number: int) -> list[Instance]:
             @ turn("y", 0.7 * s)
         )
 
-    rotors = [
-        Instance(rotor, plain(rgb("4a4d50"), 0.4), number, lambda time, a=a, b=b: Pose(place(time) @ move(0.3 * a, 0.06, 0.3 * b) @ turn("y", a * b * 1.3 * time)))
-        for a in (-1, 1) for b in (-1, 1)
-    ]  # fmt: skip
+    def spinning(a: int, b: int) -> Instance:
+        def pose(time: float) -> Pose:
+            return Pose(place(time) @ move(0.3 * a, 0.06, 0.3 * b) @ turn("y", a * b * 1.3 * time))
+
+        return Instance(rotor, dark, number, pose)
+
+    dark = plain(rgb("4a4d50"), 0.4)
+    rotors = [spinning(a, b) for a in (-1, 1) for b in (-1, 1)]
     light = placed(pillow(0.025, 0.025, 0.025, 1.0, 10), move(0.16, -0.02, 0))
-    return [Instance(body, plain(rgb("26282b"), 0.35, 0.2), number, lambda time: Pose(place(time))), *rotors,
-            Instance(light, plain(rgb("ff4030"), 0.3, 0.0, 25.0), number, lambda time: Pose(place(time)))]  # fmt: skip
-
-
-def clockwork(seed: int) -> Scene:
-    """Brass wheels, a balance and a pendulum seen close, lit by a lamp that moves; a cut to the dial and back."""
-    rng = np.random.default_rng([seed, 13])
-    brass, copper, steel = (spun_metal(rng, rgb(c)) for c in ("e0b458", "d08a5a", "c9ccd0"))
-    wood = figured_wood(rng, rgb(["7a4a2c", "5d3a28", "8a5c34"][seed % 3]))
-    plate = panels(rng, rgb("8d7a55"))
-    parts: Parts = [(placed(block(2.4, 1.5, 0.04, 0.01, 0.9), move(0, 0, -0.16)), plate)]
-    parts += [(placed(block(2.6, 0.09, 0.7, 0.02, 0.5), move(0, s * 0.78, 0.1)), wood) for s in (-1, 1)] + [
-        (placed(block(0.09, 1.6, 0.7, 0.02, 0.5), move(s * 1.25, 0, 0.1)), wood) for s in (-1, 1)
+    return [
+        Instance(body, plain(rgb("26282b"), 0.35, 0.2), number, lambda time: Pose(place(time))),
+        *rotors,
+        Instance(light, plain(rgb("ff4030"), 0.3, 0.0, 25.0), number, lambda time: Pose(place(time))),
     ]
-    parts += [
-        (
-            placed(
-                pillar([(0, 0.028), (0.02, 0.018), (0.34, 0.018), (0.36, 0.028)], 16),
-                move(x, y, -0.14),
-                turn("x", np.pi / 2),
-            ),
-            steel,
-        )
-        for x, y in ((-1.05, 0.6), (1.05, 0.6), (-1.05, -0.6), (1.05, -0.6), (0.1, 0.62))
-    ]
-    parts += [
-        (placed(prism(disc_outline(0.022, 6), 0.02, 0.003), move(x, y, 0.2)), plain(rgb("3f64a8"), 0.2, 1.0))
-        for x, y in ((-1.05, 0.6), (1.05, 0.6), (-1.05, -0.6), (1.05, -0.6))
-    ]
-    face = Instance(
-        picture(0.56, 0.56), dial(rng, rgb("f3ecda"), rgb("1c1a2e")), 0, lambda time: Pose(move(0.72, 0.28, 0.205))
-    )
-    ring = prism(disc_outline(0.30, 64), 0.03, 0.008)
-    parts.append((placed(ring, move(0.72, 0.28, 0.172)), brass))
-    instances = [*standing(parts), face, *train(rng, (brass, copper, steel)), *hands(rng), *pendulum(rng, brass, wood)]
-    drift = rng.choice([-1.0, 1.0])
-
-    def lamp(time: float) -> LightPose:
-        where = np.array([0.9 * np.sin(0.045 * time + 1.0) * drift, 0.75, 1.25])
-        return LightPose(where, unit(np.array([-0.1, 0, 0]) - where))
-
-    def camera(time: float) -> ndarray:
-        if 24 <= time < 44:
-            return aim((0.72 + 0.004 * (time - 24) * drift, 0.18, 1.0), (0.70, 0.22, 0))
-        angle = drift * (0.30 - 0.006 * time)
-        return aim((1.75 * np.sin(angle) - 0.1, 0.12 + 0.001 * time, 1.75 * np.cos(angle)), (-0.08, 0.0, 0))
-
-    light = room(
-        (0.5, 0.42, 0.34),
-        (0.16, 0.14, 0.13),
-        (0.06, 0.05, 0.05),
-        (((0.6, 0.8, 1.0), 0.97, 7.0), ((-1.0, 0.3, 0.5), 0.985, 10.0), ((0.1, -0.2, 1.0), 0.995, 5.0)),
-    )
-    return Scene(
-        name="clockwork",
-        instances=tuple(instances),
-        lights=(
-            Light("spot", (1.0, 0.84, 0.62), 7.0, lamp, radius=0.03, inner_cone=0.5, outer_cone=0.9, reach=6.0),
-            Light(
-                "point",
-                (0.5, 0.65, 1.0),
-                0.8,
-                lambda time: LightPose(np.array([-1.0, 0.4, 1.1]), np.array([0.0, -1, 0])),
-                casts_shadow=False,
-                reach=5.0,
-            ),
-        ),
-        camera=Camera(camera, np.radians(40), near=0.02),
-        sky=Sky(light, sun_disc=False),
-        cuts=frozenset({24, 44}),
-        split="test",
-    )
-
-
-def train(rng: Generator, metals: tuple[Material, ...]) -> list[Instance]:
-    """Meshing gears: neighbours turn against each other at the ratio of their teeth, in three layers."""
-    instances = []
-    x, y, depth, angle, rate, before = -0.86, 0.18, 0.0, 0.0, rng.uniform(0.03, 0.05), None
-    turns = (0.0, -0.55, 0.75, -0.9, 0.35, -0.5, 1.9, 2.6)
-    for k, teeth in enumerate((44, 20, 36, 16, 30, 24, 40, 18)):
-        radius = teeth * 0.0062
-        if before is not None:
-            far = radius + before[0] * 0.0062
-            way = turns[k] + rng.uniform(-0.08, 0.08)
-            x, y = x + far * np.cos(way), y + far * np.sin(way)
-            rate = -rate * before[0] / teeth
-            angle = way + np.pi - (angle - way) * -before[0] / teeth * -1 + np.pi / teeth
-            depth = 0.05 * (k % 2) - 0.05
-        place = move(x, y, depth)
-        spin, begin = rate, angle
-
-        def pose(time: float, place=place, spin=spin, begin=begin) -> Pose:  # type: ignore[no-untyped-def]
-            return Pose(place @ turn("z", begin + spin * time))
-
-        instances.append(Instance(gear(teeth, radius, 0.045, 4 + k % 3), metals[k % 3], 10 + k, pose))
-        before = (teeth, radius)
-    return instances
-
-
-def hands(rng: Generator) -> list[Instance]:
-    """Hour, minute and a fast second hand over the dial."""
-    blue, red = plain(rgb("2a3f86"), 0.2, 1.0), plain(rgb("b0281e"), 0.35)
-    start = rng.uniform(0, 6, 3)
-    instances = []
-    for k, (long, wide, rate, look) in enumerate(
-        ((0.14, 0.022, 0.001, blue), (0.21, 0.015, 0.006, blue), (0.25, 0.006, 0.105, red))
-    ):
-        shape = prism(
-            np.array(
-                [(-wide * 0.4, -0.05), (wide * 0.4, -0.05), (wide / 2, long * 0.6), (0, long), (-wide / 2, long * 0.6)]
-            ),
-            0.006,
-            0.001,
-        )
-        place = move(0.72, 0.28, 0.212 + 0.009 * k)
-
-        def pose(time: float, place=place, rate=rate, begin=start[k]) -> Pose:  # type: ignore[no-untyped-def]
-            return Pose(place @ turn("z", -begin - rate * time))
-
-        instances.append(Instance(shape, look, 30 + k, pose))
-    return instances
-
-
-def pendulum(rng: Generator, metal: Material, wood: Material) -> list[Instance]:
-    """A pendulum swinging before the wheels, hiding and showing them."""
-    bob = placed(join([prism(disc_outline(0.13, 48), 0.05, 0.012)]), move(0, -0.92, 0))
-    bob = Mesh(bob.positions, bob.normals, (bob.positions[:, :2] * 3.4 + (0.5, 3.628)).astype(np.float32), bob.indices)
-    rod = bar([(0, 0, 0.02), (0, -0.45, 0.02), (0, -0.9, 0.02)], 0.016, 0.008)
-    phase, swing = rng.uniform(0, 6), rng.uniform(0.26, 0.36)
-
-    def pose(time: float) -> Pose:
-        return Pose(move(-0.12, 0.66, 0.26) @ turn("z", swing * np.sin(0.13 * time + phase)))
-
-    return [Instance(bob, metal, 40, pose), Instance(rod, wood, 40, pose)]
