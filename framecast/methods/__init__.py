@@ -2,7 +2,8 @@
 
 Its class says what it needs: `needs` (fields of `Frame` that every shaded frame carries), `needs_generated` (those that
 a frame to generate carries besides its time), `modes`, `history` (how many shaded frames determine an image; None: all
-since the last reset) and `step_motion` (whether vectors to the frames left out help it, where a clip has them).
+since the last reset), `parts` (which of its methods
+the runtime compiles) and `step_motion` (whether vectors to the frames left out help it, where a clip has them).
 """
 
 from collections.abc import Callable
@@ -12,6 +13,8 @@ from torch import nn
 from framecast.methods.blend import Blend
 from framecast.methods.bsr import BSR
 from framecast.methods.hold import Hold
+from framecast.methods.mobfgsr import Config as MobFGSRConfig
+from framecast.methods.mobfgsr import MobFGSR
 from framecast.methods.warp3d import Warp3D
 
 METHODS: dict[str, Callable[[], nn.Module]] = {
@@ -19,4 +22,6 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "blend": Blend,
     "warp3d": Warp3D,
     "bsr": BSR,
+    "mobfgsr": MobFGSR,
+    "mobfgsr-quadratic": lambda: MobFGSR(MobFGSRConfig(motion="quadratic")),
 }

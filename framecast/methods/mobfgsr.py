@@ -1,0 +1,222 @@
+"""Mob-FGSR: frames generated from rendered frames alone, by splatting their motion to the moment that is asked for.
+
+Paper:    Yang, Zhu, Zhuge, Qiu, Li, Yan, Xu, Yan, Jin: Mob-FGSR, Frame Generation and Super Resolution for Mobile
+          Real-Time Rendering. SIGGRAPH Conference Papers 2024. doi:10.1145/3641519.3657424
+Follows:  section 3.3 (quadratic motion, nearest-depth splat, refinement of gaps) and 3.4 (interpolation with Eq. 1,
+          extrapolation with disocclusion filling). Super-resolution (3.5) is not here yet.
+Differs:  each choice measured in docs/results/frame-generation.md.
+          True motion: where frames carry `motion_next`, paths go through the recorded positions before and after;
+          the paper's estimate from two earlier vectors is `Config(motion="quadratic")`.
+          The older vector counts only where it belongs to the same surface (depth within a tenth, on screen);
+          elsewhere motion is straight. The paper does not say, the public code reads whatever is there.
+          Depth thresholds are relative, so that they do not depend on the scene's unit.
+          T_B is 0 by default: both frames are always mixed by time; the paper's 0.13 takes the frame nearer in time
+          where brightness agrees, which is sharper and farther from the truth.
+          Gaps copy the nearest surface's vector as the public code does; the paper's mean filter mixes surfaces.
+          The public code splats extrapolated pixels on straight and gathers them on quadratic paths; here both are one.
+Needs:    color, depth, motion; motion_next if there. Nothing of the generated frame but its time.
+Modes:    interpolate, extrapolate
+State:    the last two shaded frames, depth and vectors dilated (3 x 3, nearest depth).
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from framecast.color import luminance, to_display
+from framecast.frame import Frame
+from framecast.methods.pair import Pair, advance, begin
+from framecast.warp import (
+    EMPTY,
+    Trajectory,
+    fetch,
+    inside,
+    key_depth,
+    key_index,
+    nearest_neighbour,
+    pick,
+    splat,
+    trajectory,
+    warp,
+)
+
+
+@dataclass(frozen=True)
+class Config:
+    """What may be chosen; the defaults are the best of those measured."""
+
+    motion: Literal["true", "quadratic"] = "true"
+    """Paths of pixels: through recorded positions on both sides where there, or always the paper's estimate."""
+    dilate: bool = True
+    """Give each pixel the depth and vectors of the nearest surface in its 3 x 3 neighbourhood."""
+    gap_threshold: float = 0.02
+    """Part of its depth by which a neighbour must be nearer to count as another surface when gaps are closed."""
+    depth_threshold: float = 0.1
+    """T_D of Eq. 1 as a part of the depth: beyond it only the farther, newly revealed side is used."""
+    brightness_threshold: float = 0.0
+    """T_B of Eq. 1 in display luminance: up to it the frame nearer in time is taken alone. 0: always mix."""
+
+
+class MobFGSR(nn.Module):
+    """Interpolation between the last two shaded frames, or extrapolation beyond the last one, by the time asked for."""
+
+    needs = ("color", "depth", "motion")
+    needs_generated: tuple[str, ...] = ()
+    modes = ("interpolate", "extrapolate")
+    parts = ("shade", "interpolate", "extrapolate")
+    history = 3
+
+    def __init__(self, config: Config = Config()) -> None:
+        super().__init__()
+        self.config = config
+        self.step_motion = config.motion == "true"
+        self.keeps = (*self.needs, "motion_next") if self.step_motion else self.needs
+
+    def start(self, frame: Frame) -> Pair:
+        """State before the first frame: nothing but that frame."""
+        return begin(self.prepared(frame), self.keeps)
+
+    def forward(self, frame: Frame, state: Pair) -> tuple[Float[Tensor, "b 3 h w"], Pair]:
+        """A shaded frame passes through and enters the state; for others the image at `frame.time` is made.
+
+        Images are linear and at least 0. Where no frame shows a pixel's surface, the older frame's background is
+        taken (interpolation), or the newest frame's surroundings (extrapolation).
+        """
+        if frame.color is not None:
+            return frame.color, self.shade(frame, state)
+        if bool((frame.time > state.current.time).all()):
+            return self.extrapolate(state, frame.time), state
+        return self.interpolate(state, frame.time), state
+
+    def shade(self, frame: Frame, state: Pair) -> Pair:
+        """The state after a shaded frame."""
+        return advance(self.prepared(frame), state, self.keeps)
+
+    def prepared(self, frame: Frame) -> Frame:
+        """A shaded frame as it is kept."""
+        return dilated(frame) if self.config.dilate else frame
+
+    def interpolate(self, state: Pair, time: Float[Tensor, " b"]) -> Float[Tensor, "b 3 h w"]:
+        """The image at `time` between the two shaded frames."""
+        return interpolate(state, time, self.config)
+
+    def extrapolate(self, state: Pair, time: Float[Tensor, " b"]) -> Float[Tensor, "b 3 h w"]:
+        """The image at `time` after the newest shaded frame."""
+        return extrapolate(state, time, self.config)
+
+
+def dilated(frame: Frame) -> Frame:
+    """The frame with depth and vectors of the nearest surface in each pixel's 3 x 3 neighbourhood."""
+    depth, motion, ahead = present(frame.depth), present(frame.motion), frame.motion_next
+    nearest = nearest_neighbour(depth)
+    ahead = None if ahead is None else pick(ahead, nearest)
+    return replace(frame, depth=pick(depth, nearest), motion=pick(motion, nearest), motion_next=ahead)
+
+
+def present(buffer: Tensor | None) -> Tensor:
+    """A buffer in `needs`, which was checked where frames enter."""
+    assert buffer is not None
+    return buffer
+
+
+def _wide(values: Tensor) -> Tensor:
+    """One value per batch entry, shaped to meet images."""
+    return values[:, None, None, None]
+
+
+def path(frame: Frame, previous: Frame) -> Trajectory:
+    """Paths of the pixels of a shaded frame: through true positions, or estimated (figure 3).
+
+    With motion m1 of this frame and m0 of the previous one read where m1 leads, both over one gap s: velocity
+    (m0 - 3 m1) / 2s, acceleration (m0 - m1) / s^2 with the signs of `Frame.motion`. Straight where m0 does not belong
+    to the same surface, and where the vectors do not lead to the previous frame.
+    """
+    depth, motion = present(frame.depth), present(frame.motion)
+    if frame.motion_next is not None:
+        return trajectory(motion, frame.motion_next, frame.span)
+    same = (fetch(present(previous.depth), motion) / depth - 1).abs() < 0.1
+    reaches = (frame.time - previous.time - frame.span).abs() < 1e-3 * frame.span
+    usable = same & inside(motion) & _wide(reaches & ~previous.reset)
+    change = torch.where(usable, fetch(present(previous.motion), motion) - motion, 0.0)
+    s = _wide(frame.span)
+    return Trajectory(change / (2 * s) - motion / s, change / (s * s))
+
+
+def refine(keys: Int[Tensor, "b h w"], threshold: float) -> Int[Tensor, "b h w"]:
+    """Gaps of a splat closed (section 3.3): holes, and pixels of the background seen through a spread-out surface.
+
+    A pixel stays when it is part of a 2 x 2 block in which nothing is nearer than it by more than `threshold` of its
+    depth; else it lies in a gap one pixel wide and takes the key of the nearest neighbour. Larger holes stay EMPTY.
+    """
+    height, width = keys.shape[-2:]
+    padded = F.pad(keys, (1, 1, 1, 1), value=float(EMPTY))
+    around = [[padded[:, y : y + height, x : x + width] for x in range(3)] for y in range(3)]
+    limit = key_depth(keys)[:, 0] * (1 - threshold)
+    similar = [[key_depth(key)[:, 0] >= limit for key in row] for row in around]
+    blocks = [similar[y][x] & similar[y][1] & similar[1][x] for y in (0, 2) for x in (0, 2)]
+    keep = blocks[0] | blocks[1] | blocks[2] | blocks[3]
+    rows = [torch.minimum(torch.minimum(a, b), c) for a, b, c in around]
+    nearest = torch.minimum(torch.minimum(rows[0], rows[1]), rows[2])
+    return torch.where(keep, keys, nearest)
+
+
+def interpolate(state: Pair, time: Float[Tensor, " b"], config: Config) -> Float[Tensor, "b 3 h w"]:
+    """The image at `time` between the two shaded frames."""
+    previous, current = state.prev, state.current
+    moving = path(current, previous)
+    to_time = moving.displacement(time - current.time)
+    across = moving.displacement(previous.time - current.time)
+    keys = refine(splat(present(current.depth), to_time), config.gap_threshold)
+    source, landed = key_index(keys), (keys != EMPTY)[:, None]
+    to_current = -pick(to_time, source)
+    to_previous = to_current + pick(across, source)
+    # Nothing landed: the background that the previous frame saw, on a straight path.
+    speed = -present(previous.motion) / _wide(previous.span)
+    to_current = torch.where(landed, to_current, speed * _wide(current.time - time))
+    to_previous = torch.where(landed, to_previous, speed * _wide(previous.time - time))
+    alpha = (time - previous.time) / (current.time - previous.time).clamp(min=1e-6)
+    return blend(state, to_previous, to_current, alpha, config)
+
+
+def blend(
+    state: Pair,
+    to_previous: Float[Tensor, "b 2 h w"],
+    to_current: Float[Tensor, "b 2 h w"],
+    alpha: Float[Tensor, " b"],
+    config: Config,
+) -> Float[Tensor, "b 3 h w"]:
+    """Eq. 1: both frames warped and chosen from by depth and brightness; `alpha` is 0 at the previous frame."""
+    previous, current = state.prev, state.current
+    before, after = warp(present(previous.color), to_previous), warp(present(current.color), to_current)
+    depth_before = fetch(present(previous.depth), to_previous)
+    depth_after = fetch(present(current.depth), to_current)
+    seen_before, seen_after = inside(to_previous), inside(to_current)
+    ratio = 1 + config.depth_threshold
+    only_before = seen_before & ((depth_before > depth_after * ratio) | ~seen_after)
+    only_after = seen_after & ((depth_after > depth_before * ratio) | ~seen_before)
+    weight = _wide(alpha).expand_as(depth_after)
+    if config.brightness_threshold > 0:
+        change = luminance(to_display(after)) - luminance(to_display(before))
+        alike = change.abs() <= config.brightness_threshold
+        weight = torch.where(alike, (weight > 0.5).to(weight.dtype), weight)
+    weight = torch.where(only_before, 0.0, torch.where(only_after, 1.0, weight))
+    return before + weight * (after - before)
+
+
+def extrapolate(state: Pair, time: Float[Tensor, " b"], config: Config) -> Float[Tensor, "b 3 h w"]:
+    """The image at `time` after the newest shaded frame, from that frame alone (section 3.4)."""
+    current, depth = state.current, present(state.current.depth)
+    later = time - current.time
+    moving = path(current, state.prev)
+    to_time = moving.displacement(later)
+    keys = refine(splat(depth, to_time), config.gap_threshold)
+    back = -pick(to_time, key_index(keys))
+    # Disoccluded: this pixel's own motion continued, unless that would copy something nearer; then what is here now.
+    straight = -moving.velocity * _wide(later)
+    background = fetch(depth, straight) >= depth * (1 - config.gap_threshold)
+    filled = torch.where(background, straight, 0.0)
+    return warp(present(current.color), torch.where((keys != EMPTY)[:, None], back, filled))

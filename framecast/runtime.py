@@ -1,0 +1,146 @@
+"""The streaming loop: frames in arrival order go in, images in display order come out.
+
+A method knows only `image, state = method(frame, state)`. This file owns what lies around that call: which moments are
+generated and when they are asked for (`schedule`), the order in which images are shown, how long a viewer waits
+(`latency`), the device, compilation and timing (`stream`). Nothing is kept of a frame once its images are out.
+"""
+
+import copy
+import os
+import shutil
+import time as clock
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from framecast.frame import Frame, moment
+
+Mode = Literal["interpolate", "extrapolate", "mixed", "pass"]
+MODES: tuple[Mode, ...] = get_args(Mode)
+
+
+@dataclass(frozen=True)
+class Output:
+    """One image, in display order."""
+
+    time: float
+    """Moment that the image shows, in clip frames."""
+    image: Float[Tensor, "b 3 H W"]
+    """Linear colour, at least 0."""
+    generated: bool
+    """False where the renderer shaded this frame."""
+    milliseconds: float
+    """Time that the method took, the device waited for."""
+
+
+def extrapolated(rate: int, mode: Mode, gap: int) -> int:
+    """How many of the `rate - 1` images of a gap between two shaded frames are extrapolated, the earliest ones.
+
+    Mixed follows the advice of Mob-FGSR (section 6) for two generated images, the first extrapolated for low latency,
+    the second interpolated; the odd one of an uneven number takes turns, so that one generated image alternates.
+    """
+    if mode == "mixed":
+        return (rate - 1) // 2 + ((rate - 1) % 2) * ((gap + 1) % 2)
+    return rate - 1 if mode == "extrapolate" else 0
+
+
+def latency(rate: int, mode: Mode) -> float:
+    """How long an image waits because of the mode alone, in intervals between shaded frames.
+
+    An interpolated image can only be made when the shaded frame after it is there; the first one of a gap waits
+    longest. 0 for extrapolation and pass-through.
+    """
+    if mode == "pass":
+        return 0.0
+    first = min(extrapolated(rate, mode, gap) for gap in (0, 1))
+    return 1 - (first + 1) / rate if first < rate - 1 else 0.0
+
+
+def schedule(
+    frames: Iterable[Frame], rate: int, mode: Mode, generated: Callable[[float], Frame] = moment
+) -> Iterator[list[Frame]]:
+    """Groups of frames in arrival order: the shaded ones, and between them requests that raise the rate `rate` times.
+
+    Extrapolated moments arrive before the shaded frame that follows them, interpolated ones after it. No image is
+    interpolated across a cut: a gap that ends at one is extrapolated from the shot before. First and last frame are
+    kept, so n shaded frames give rate (n - 1) + 1 images. A group is complete: sorted by time, its images may be shown.
+
+    Args:
+        generated: makes the frame to generate at a time; by default an empty request, for methods that use G-buffers
+            the frame that carries them.
+
+    Raises:
+        ValueError: unknown mode, or a rate below 1.
+    """
+    if mode not in MODES:
+        raise ValueError(f"mode is {mode!r}; use one of {', '.join(MODES)}")
+    if rate < 1:
+        raise ValueError(f"rate is {rate}; it has to be a whole number, at least 1")
+    previous: Frame | None = None
+    for gap, frame in enumerate(frames, start=-1):
+        between = [] if previous is None or mode == "pass" else _moments(previous, frame, rate)
+        count = len(between) if bool(frame.reset.all()) else extrapolated(rate, mode, gap)
+        if between[:count]:
+            yield [generated(t) for t in between[:count]]
+        yield [frame, *(generated(t) for t in between[count:])]
+        previous = frame
+
+
+def _moments(previous: Frame, frame: Frame, rate: int) -> list[float]:
+    start, end = float(previous.time[0]), float(frame.time[0])
+    return [start + (end - start) * k / rate for k in range(1, rate)]
+
+
+def stream(
+    method: nn.Module, groups: Iterable[Sequence[Frame]], *, device: torch.device | str = "cpu", compile: bool = False
+) -> Iterator[Output]:
+    """Images in display order from groups of frames in arrival order (`schedule`, or an engine's own).
+
+    The method's state starts at the first frame and again wherever `reset` is set. Compilation happens once per size
+    and per role (shaded, interpolated, extrapolated), on their first frames.
+    """
+    method = method.to(device).eval()
+    call = compiled(method) if compile else method
+    start: Callable[[Frame], Any] = method.start  # type: ignore[assignment]
+    state: Any = None
+    for group in groups:
+        outputs = []
+        for frame in group:
+            frame = frame.to(device)
+            started = clock.perf_counter()
+            with torch.no_grad():
+                image, state = call(frame, start(frame) if state is None else state)
+            if image.device.type == "cuda":
+                torch.cuda.synchronize(image.device)
+            elapsed = (clock.perf_counter() - started) * 1e3
+            outputs.append(Output(float(frame.time[0]), image, not frame.is_shaded, elapsed))
+        yield from sorted(outputs, key=lambda output: output.time)
+
+
+def compiled(method: nn.Module) -> nn.Module:
+    """The method with its `parts` compiled for fixed sizes; eager, with one warning, where there is no C++ compiler.
+
+    `parts` names the methods of the module that hold its arithmetic, so that the choice between them (shaded,
+    interpolated, extrapolated) stays outside of the graphs; without it the whole call is compiled. Compiled code is
+    kept in the user's cache folder between runs, so that only the first run of a size pays in full.
+    """
+    if not can_compile():
+        warnings.warn("no C++ compiler found (install g++ or clang++): running without torch.compile", stacklevel=2)
+        return method
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "framecast" / "compiled"
+    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache))
+    fast = copy.copy(method)
+    for name in getattr(method, "parts", ("forward",)):
+        object.__setattr__(fast, name, torch.compile(getattr(method, name), dynamic=False))
+    return fast
+
+
+def can_compile() -> bool:
+    """Whether a C++ compiler is there, which `torch.compile` needs at run time on the CPU."""
+    return any(shutil.which(name) for name in (os.environ.get("CXX", "g++"), "g++", "clang++", "cl"))
