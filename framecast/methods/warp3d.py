@@ -34,6 +34,9 @@ from framecast.methods.mesh import rasterize
 from framecast.methods.pair import Pair, advance, begin
 from framecast.warp import EMPTY, key_index, pick, splat, warp
 
+REACH = (-0.25, 0.25)
+"""A point is sent to the pixels that contain its position moved by these, across and down."""
+
 
 @dataclass(frozen=True)
 class Config:
@@ -173,10 +176,10 @@ def points(
     Every point covers the target pixels whose centres are within 3/4 of a pixel, the nearest one winning: in each
     direction a coverage of a quarter or more. Surfaces stretch by half their size without cracks.
     """
-    reach = [displacement.new_tensor((x, y))[:, None, None] for y in (-0.25, 0.25) for x in (-0.25, 0.25)]
-    keys = splat(depth, displacement + reach[0])
-    for offset in reach[1:]:
-        keys = torch.minimum(keys, splat(depth, displacement + offset))
+    batch = len(depth)
+    corners = [displacement + displacement.new_tensor((x, y))[:, None, None] for y in REACH for x in REACH]
+    keys = splat(depth.repeat(4, 1, 1, 1), torch.cat(corners))
+    keys = keys.view(4, batch, *keys.shape[1:]).amin(0)
     source = key_index(keys)
     return -pick(displacement, source), pick(depth, source), torch.where(keys == EMPTY, 2.0, 0.0)[:, None]
 
