@@ -7,12 +7,12 @@ sRGB, 0..1, the way a palette is picked; `Material` holds linear factors, and te
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from numpy.typing import ArrayLike
 
+from framecast.render.motion import Numbers
 from framecast.render.scene import Material, Texture
 
 
-def linear(colour: ArrayLike) -> Float[ndarray, "..."]:
+def linear(colour: Numbers) -> Float[ndarray, "..."]:
     """Linear light of sRGB values in 0..1 (IEC 61966-2-1)."""
     c = np.asarray(colour, np.float64)
     return np.where(c <= 0.04045, c / 12.92, ((np.maximum(c, 0.0) + 0.055) / 1.055) ** 2.4)
@@ -76,7 +76,7 @@ def textured(
 
 
 def plain(
-    colour: ArrayLike, roughness: float = 0.5, metallic: float = 0.0, glow: float = 0.0, both: bool = False
+    colour: Numbers, roughness: float = 0.5, metallic: float = 0.0, glow: float = 0.0, both: bool = False
 ) -> Material:
     """Material of one sRGB colour; with `glow` it also emits that colour times `glow`."""
     r, g, b = (float(c) for c in linear(colour))
@@ -89,7 +89,7 @@ def plain(
     )
 
 
-def mix(a: ArrayLike, b: ArrayLike, t: Float[ndarray, "h w"]) -> Float[ndarray, "h w c"]:
+def mix(a: Numbers, b: Numbers, t: Float[ndarray, "h w"]) -> Float[ndarray, "h w c"]:
     """Colours from `a` (t = 0) to `b` (t = 1), per pixel."""
     t = np.clip(t, 0, 1)[..., None]
     return np.asarray(a) * (1 - t) + np.asarray(b) * t

@@ -257,16 +257,23 @@ def rigid(matrix: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"]:
 
 
 def _orbit(box: tuple[ndarray, ndarray], fps: float) -> Camera:
-    """A camera that circles the box at a distance from which it fills most of the height."""
-    middle, radius, fov = (box[0] + box[1]) / 2, float(np.linalg.norm(box[1] - box[0])) / 2, np.radians(40.0)
-    away, lift = radius / np.sin(fov / 2) * 0.82, np.radians(14.0)
+    """A camera that circles the box, just far enough away that pictures of 4:3 and wider always hold all of it."""
+    middle, slope, lift = (box[0] + box[1]) / 2, np.tan(np.radians(20.0)), np.radians(14.0)
+    corners = np.array([[box[i][0], box[j][1], box[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) - middle
+
+    def out(angle: float) -> Float[ndarray, "3"]:
+        return np.array([np.sin(angle) * np.cos(lift), np.sin(lift), np.cos(angle) * np.cos(lift)])
+
+    away = 0.0
+    for angle in np.linspace(0, 2 * np.pi, 48):
+        seen = corners @ aim(out(angle), np.zeros(3))[:3, :3]
+        reach = np.maximum(np.abs(seen[:, 1]), np.abs(seen[:, 0]) * 0.75) / slope
+        away = max(away, 1.05 * float((reach + seen[:, 2]).max()))
 
     def at(time: float) -> Float[ndarray, "4 4"]:
-        angle = np.radians(30.0) + 2 * np.pi * time / (ORBIT * fps)
-        out = np.array([np.sin(angle) * np.cos(lift), np.sin(lift), np.cos(angle) * np.cos(lift)])
-        return aim(middle + away * out, middle)
+        return aim(middle + away * out(np.radians(30.0) + 2 * np.pi * time / (ORBIT * fps)), middle)
 
-    return Camera(at, fov, near=away * 0.01)
+    return Camera(at, 2 * float(np.arctan(slope)), near=away * 0.01)
 
 
 def _floor(box: tuple[ndarray, ndarray]) -> Instance:

@@ -113,13 +113,11 @@ def accessor(file: File, index: int) -> Num[ndarray, "n ..."]:
     if a.bufferView is not None:
         values = _strided(file, a.bufferView, a.byteOffset or 0, a.count, shape, kind)
     if a.sparse is not None:
-        which = a.sparse.indices
+        which, given = a.sparse.indices, a.sparse["values"]  # the attribute is the dict's own method
         kind_index = np.dtype(TYPES[which.componentType]).newbyteorder("<")
         where = _strided(file, which.bufferView, which.byteOffset or 0, a.sparse.count, (), kind_index)
         values = values.copy()
-        values[where] = _strided(
-            file, a.sparse.values.bufferView, a.sparse.values.byteOffset or 0, a.sparse.count, shape, kind
-        )
+        values[where] = _strided(file, given.bufferView, given.byteOffset or 0, a.sparse.count, shape, kind)
     if a.normalized and kind.kind != "f":
         top = 2 ** (8 * kind.itemsize - (kind.kind == "i")) - 1
         values = np.maximum(values / np.float32(top), -1.0)

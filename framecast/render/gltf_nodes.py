@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from numpy.typing import ArrayLike
 
 from framecast.render.gltf_file import File, accessor
+from framecast.render.motion import Numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def slerp(a: Float[ndarray, "4"], b: Float[ndarray, "4"], t: float) -> Float[nda
     return (np.sin((1 - t) * angle) * a + np.sin(t * angle) * b) / np.sin(angle)
 
 
-def rotation(quaternion: ArrayLike) -> Float[ndarray, "3 3"]:
+def rotation(quaternion: Numbers) -> Float[ndarray, "3 3"]:
     """Matrix of a quaternion x y z w of any length."""
     x, y, z, w = np.asarray(quaternion, np.float64) / np.linalg.norm(quaternion)
     return np.array([

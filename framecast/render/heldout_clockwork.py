@@ -95,6 +95,7 @@ def clockwork(seed: int) -> Scene:
         camera=Camera(camera, np.radians(40), near=0.02),
         sky=Sky(light, sun_disc=False),
         cuts=frozenset({24, 44}),
+        occlusion_radius=0.06,
         split="test",
     )
 
@@ -152,7 +153,7 @@ def pendulum(rng: Generator, metal: Material, wood: Material) -> list[Instance]:
     """A pendulum swinging before the wheels, hiding and showing them."""
     bob = placed(join([prism(disc_outline(0.13, 48), 0.05, 0.012)]), move(0, -0.92, 0))
     bob = Mesh(bob.positions, bob.normals, (bob.positions[:, :2] * 3.4 + (0.5, 3.628)).astype(np.float32), bob.indices)
-    rod = bar([(0, 0, 0.02), (0, -0.45, 0.02), (0, -0.9, 0.02)], 0.016, 0.008)
+    rod = bar([(0, 0, 0.02), (0, -0.45, 0.02), (0, -0.9, 0.02)], 0.03, 0.012)
     phase, swing = rng.uniform(0, 6), rng.uniform(0.26, 0.36)
 
     def pose(time: float) -> Pose:

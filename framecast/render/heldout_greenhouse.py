@@ -11,6 +11,7 @@ from framecast.render.finish import plain, rgb
 from framecast.render.heldout_shapes import (
     bar,
     block,
+    cloud_crown,
     cord,
     fronds,
     pillar,
@@ -24,6 +25,7 @@ from framecast.render.heldout_textures import (
     gravel,
     mosaic,
     palm_leaf,
+    star_leaves,
     veiled,
 )
 from framecast.render.mesh import join, placed, standing
@@ -71,6 +73,7 @@ def greenhouse(seed: int) -> Scene:
             casts_shadow=False,
         )
     )
+    instances.append(grove(rng))
     instances += palms(rng, 10)
     instances += beds(rng, 40)
     for k, z in enumerate((-2.5, -8.5)):
@@ -129,6 +132,19 @@ def glasshouse(iron: Material) -> tuple[Parts, Mesh]:
             placed(sheet(float(np.linalg.norm(b - a)), 22, 1), move(middle[0], middle[1], -6), turn("z", lean))
         )
     return [(join(bars + ends), iron)], join(glass)
+
+
+def grove(rng: Generator) -> Instance:
+    """Bushes and small trees that stand outside, behind the glass."""
+    clouds = [cloud_crown(rng, rng.normal(0, 1, (5, 3)) * (0.9, 0.7, 0.9), 0.8, 30, 0.42) for _ in range(3)]
+    spots = [(s * rng.uniform(8, 12), -z) for s in (-1, 1) for z in range(-6, 22, 3)] + [
+        (x, -22) for x in range(-10, 11, 3)
+    ]
+    crowns = [
+        placed(clouds[k % 3], move(x, rng.uniform(0.8, 2.2), z), turn("y", k), scale(rng.uniform(1.0, 1.9)))
+        for k, (x, z) in enumerate(spots)
+    ]
+    return Instance(join(crowns), star_leaves(rng, rgb(str(rng.choice(["5a7a3c", "6f8a4a", "8a7a3c"])))))
 
 
 def palms(rng: Generator, number: int) -> list[Instance]:

@@ -88,7 +88,7 @@ def harbor(seed: int) -> Scene:
         ),
         camera=Camera(camera, np.radians(52)),
         sky=Sky(veiled(rng, sky, (1.0, 0.58, 0.45), 0.5)),
-        exposure=lambda time: 1.05,
+        exposure=lambda time: 0.85,
         haze=0.006,
         shadow_distance=45.0,
         split="test",

@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 from numpy.random import Generator
-from numpy.typing import ArrayLike
 
 from framecast.render.mesh import box_uvs, from_grid, grid_triangles, join, placed, shaded
-from framecast.render.motion import frame_along, move, scale, turn, unit
+from framecast.render.motion import Numbers, frame_along, move, scale, turn, unit
 from framecast.render.scene import Mesh
 
 
@@ -41,7 +40,7 @@ def outline_ring(outline: Float[ndarray, "k 2"], z: float, shrink: float = 1.0) 
     return np.column_stack([outline * shrink, np.full(len(outline), z)])
 
 
-def prism(outline: ArrayLike, depth: float, bevel: float = 0.0, tile: float = 1.0) -> Mesh:
+def prism(outline: Numbers, depth: float, bevel: float = 0.0, tile: float = 1.0) -> Mesh:
     """An outline (k 2), counter-clockwise and seen whole from the origin, extruded from z = 0 to `depth`,
     edges bevelled.
     """
@@ -68,7 +67,7 @@ def disc_outline(radius: float, count: int = 32) -> Float[ndarray, "k 2"]:
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def pillar(stations: ArrayLike, sides: int = 24, tile: float = 1.0, crease: float = 40.0) -> Mesh:
+def pillar(stations: Numbers, sides: int = 24, tile: float = 1.0, crease: float = 40.0) -> Mesh:
     """A round body along y through (y, radius) stations (k 2), from the bottom up."""
     flat = disc_outline(1.0, sides)
     rings = [
@@ -101,7 +100,7 @@ def pillow(x: float, y: float, z: float, power: float = 0.5, steps: int = 24) ->
     return loft(rings, crease=50)
 
 
-def bar(path: ArrayLike, wide: float, high: float, tile: float = 1.0) -> Mesh:
+def bar(path: Numbers, wide: float, high: float, tile: float = 1.0) -> Mesh:
     """A square-edged bar along a polyline (k 3)."""
     line = np.asarray(path, np.float64)
     frames = frame_along(line)
@@ -109,7 +108,7 @@ def bar(path: ArrayLike, wide: float, high: float, tile: float = 1.0) -> Mesh:
     return loft(line[:, None] + np.einsum("kc,rcd->rkd", corners, frames[:, :2]), tile, 30)
 
 
-def cord(path: ArrayLike, radius: float, sides: int = 6) -> Mesh:
+def cord(path: Numbers, radius: float, sides: int = 6) -> Mesh:
     """A thin round line along a polyline (k 3)."""
     line = np.asarray(path, np.float64)
     return loft(
@@ -117,7 +116,7 @@ def cord(path: ArrayLike, radius: float, sides: int = 6) -> Mesh:
     )
 
 
-def hanging(a: ArrayLike, b: ArrayLike, sag: float, radius: float, steps: int = 14) -> Mesh:
+def hanging(a: Numbers, b: Numbers, sag: float, radius: float, steps: int = 14) -> Mesh:
     """A cord from `a` to `b` that hangs `sag` below the middle."""
     t = np.linspace(0, 1, steps)[:, None]
     return cord(

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 from numpy.random import Generator
-from numpy.typing import ArrayLike
 
 from framecast.render.finish import mix, pixel_grid, rgb, step, textured
+from framecast.render.motion import Numbers
 from framecast.render.scene import Material
 from framecast.render.skies import directions
 
@@ -51,7 +51,7 @@ def per_cell(rng: Generator, number: Int[ndarray, "h w"]) -> Float[ndarray, "h w
     return rng.random(int(number.max()) + 1)[number]
 
 
-def concrete(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
+def concrete(rng: Generator, colour: Numbers, size: int = 512) -> Material:
     """Cast concrete: cloudy, pitted, with the lines of the formwork."""
     cloud, fine = spectral(rng, size, 1.8), spectral(rng, size, 0.9)
     _, y = pixel_grid(size)
@@ -63,7 +63,7 @@ def concrete(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
     )
 
 
-def flagstones(rng: Generator, colour: ArrayLike, count: int = 5, size: int = 512) -> Material:
+def flagstones(rng: Generator, colour: Numbers, count: int = 5, size: int = 512) -> Material:
     """Irregular paving stones with sandy joints."""
     _, edge, number = cells(rng, size, count)
     rough, fine = spectral(rng, size, 1.5), spectral(rng, size, 0.8)
@@ -73,7 +73,7 @@ def flagstones(rng: Generator, colour: ArrayLike, count: int = 5, size: int = 51
     return textured(albedo, inside * 0.9 + rough * 0.5 + 0.1 * fine, 8, np.clip(0.9 - 0.25 * inside * rough, 0.2, 1))
 
 
-def gravel(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
+def gravel(rng: Generator, colour: Numbers, size: int = 512) -> Material:
     """Rounded pebbles, thousands to the square metre: detail near the pixel size."""
     near, edge, number = cells(rng, size, 36)
     dome = np.clip(1 - near * 1.2, 0, 1)
@@ -94,13 +94,13 @@ def mosaic(rng: Generator, palette: Float[ndarray, "k 3"], size: int = 1024) -> 
     return textured(albedo, inside + 0.3 * per_cell(rng, number), 3, 0.75 - 0.5 * inside)
 
 
-def water(rng: Generator, colour: ArrayLike, size: int = 512, strength: float = 18.0) -> Material:
+def water(rng: Generator, colour: Numbers, size: int = 512, strength: float = 18.0) -> Material:
     """Wind ripples on dark water."""
     ripple = 0.6 * spectral(rng, size, 1.7, 0.6) + 0.4 * spectral(rng, size, 1.2)
     return textured(np.broadcast_to(np.asarray(colour), (size, size, 3)), ripple, strength, 0.08)
 
 
-def decking(rng: Generator, colour: ArrayLike, count: int = 10, size: int = 512) -> Material:
+def decking(rng: Generator, colour: Numbers, count: int = 10, size: int = 512) -> Material:
     """Narrow planks with dark caulking, across the image, sun-bleached unevenly."""
     _, y = pixel_grid(size)
     plank = (y * count).astype(int)
@@ -112,7 +112,7 @@ def decking(rng: Generator, colour: ArrayLike, count: int = 10, size: int = 512)
     return textured(albedo * tone[..., None], gap + 0.4 * fibre, 5, 0.75)
 
 
-def painted_hull(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
+def painted_hull(rng: Generator, colour: Numbers, size: int = 512) -> Material:
     """Boat paint with rust runs and salt."""
     run, salt = spectral(rng, size, 1.3, 0.06).T, spectral(rng, size, 1.7)
     rust = step(run, 0.70, 0.82) * step(salt, 0.4, 0.6)
@@ -120,7 +120,7 @@ def painted_hull(rng: Generator, colour: ArrayLike, size: int = 512) -> Material
     return textured(albedo, 0.4 * salt + 0.3 * rust, 2, 0.35 + 0.4 * rust + 0.2 * (salt - 0.5))
 
 
-def cloth(rng: Generator, colour: ArrayLike, other: ArrayLike, stripes: int = 0, size: int = 256) -> Material:
+def cloth(rng: Generator, colour: Numbers, other: Numbers, stripes: int = 0, size: int = 256) -> Material:
     """Coarse weave, seen from both sides, in broad stripes where `stripes` > 0."""
     x, y = pixel_grid(size)
     weave = 0.5 + 0.25 * np.sin(2 * np.pi * 64 * x) + 0.25 * np.sin(2 * np.pi * 64 * y)
@@ -131,7 +131,7 @@ def cloth(rng: Generator, colour: ArrayLike, other: ArrayLike, stripes: int = 0,
     return textured(solid, weave, 1.5, 0.9, mask=True)
 
 
-def panels(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
+def panels(rng: Generator, colour: Numbers, size: int = 512) -> Material:
     """Riveted sheet metal, 4 x 4 panels of slightly different tone, oil stains."""
     x, y = (axis * 4 for axis in pixel_grid(size))
     seam = step(np.minimum(np.minimum(x % 1, 1 - x % 1), np.minimum(y % 1, 1 - y % 1)), 0.008, 0.02)
@@ -146,7 +146,7 @@ def panels(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
     return textured(albedo, 0.5 * seam + 0.6 * rivet, 4, 0.45 + 0.3 * (stain - 0.5), 0.35)
 
 
-def hangar_floor(rng: Generator, colour: ArrayLike, size: int = 1024) -> Material:
+def hangar_floor(rng: Generator, colour: Numbers, size: int = 1024) -> Material:
     """Sealed floor with a yellow guide line and a hazard band, tyre marks; glossy where it is clean."""
     x, y = pixel_grid(size)
     cloud, scuff = spectral(rng, size, 1.8), spectral(rng, size, 1.2, 0.05)
@@ -161,7 +161,7 @@ def hangar_floor(rng: Generator, colour: ArrayLike, size: int = 1024) -> Materia
     return textured(albedo, roughness=np.clip(0.12 + 0.30 * step(cloud, 0.45, 0.8) + 0.3 * marks, 0.05, 1))
 
 
-def weave(rng: Generator, colour: ArrayLike, size: int = 256) -> Material:
+def weave(rng: Generator, colour: Numbers, size: int = 256) -> Material:
     """Twill of glossy fibres: a moire trap."""
     x, y = pixel_grid(size)
     u, v = (x * 32).astype(int), (y * 32).astype(int)
@@ -171,7 +171,7 @@ def weave(rng: Generator, colour: ArrayLike, size: int = 256) -> Material:
     return textured(np.asarray(colour) * tone[..., None], np.where(over, 1.0, 0.6) - thread, 3, 0.28)
 
 
-def screen(rng: Generator, colour: ArrayLike, glow: float = 6.0, size: int = 256) -> Material:
+def screen(rng: Generator, colour: Numbers, glow: float = 6.0, size: int = 256) -> Material:
     """A control screen, seen once: graphs, bars and rows of marks that glow."""
     x, y = pixel_grid(size)
     light = 0.10 * (((x * 16) % 1 < 0.04) | ((y * 12) % 1 < 0.05)).astype(float)
@@ -186,7 +186,7 @@ def screen(rng: Generator, colour: ArrayLike, glow: float = 6.0, size: int = 256
     return textured(np.full((size, size, 3), 0.02), roughness=0.1, emission=light[..., None] * tint, glow=glow)
 
 
-def spun_metal(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
+def spun_metal(rng: Generator, colour: Numbers, size: int = 512) -> Material:
     """Metal turned on a lathe, seen once on a disc: fine rings about the middle, a little tarnish."""
     x, y = pixel_grid(size)
     radius = np.hypot(x - 0.5, y - 0.5)
@@ -196,7 +196,7 @@ def spun_metal(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
     return textured(albedo, rings, 0.3, 0.18 + 0.3 * step(tarnish, 0.4, 0.9) + 0.1 * rings, 1.0)
 
 
-def dial(rng: Generator, paper: ArrayLike, ink: ArrayLike, size: int = 1024) -> Material:
+def dial(rng: Generator, paper: Numbers, ink: Numbers, size: int = 1024) -> Material:
     """A clock face, seen once: sixty ticks, finer ones between, twelve slanted numerals, guilloche in the middle."""
     x, y = pixel_grid(size)
     radius, angle = np.hypot(x - 0.5, y - 0.5), np.arctan2(x - 0.5, 0.5 - y) / (2 * np.pi) % 1
@@ -220,7 +220,7 @@ def dial(rng: Generator, paper: ArrayLike, ink: ArrayLike, size: int = 1024) -> 
     return textured(albedo, wave * (radius < 0.29) * 0.5 - dark, 2, 0.35)
 
 
-def figured_wood(rng: Generator, colour: ArrayLike, gloss: float = 0.25, size: int = 512) -> Material:
+def figured_wood(rng: Generator, colour: Numbers, gloss: float = 0.25, size: int = 512) -> Material:
     """Walnut under varnish: growth rings bent by knots, chatoyant bands."""
     x, _ = pixel_grid(size)
     bend = spectral(rng, size, 2.2, 0.4)
@@ -230,7 +230,7 @@ def figured_wood(rng: Generator, colour: ArrayLike, gloss: float = 0.25, size: i
     return textured(albedo, pore, 1.0, gloss + 0.15 * pore)
 
 
-def palm_leaf(rng: Generator, colour: ArrayLike, size: int = 256) -> Material:
+def palm_leaf(rng: Generator, colour: Numbers, size: int = 256) -> Material:
     """A feathered palm leaf on transparency, stem up the middle, alpha-tested."""
     x, y = pixel_grid(size)
     away = np.abs(x - 0.5) * 2
@@ -250,7 +250,7 @@ def palm_leaf(rng: Generator, colour: ArrayLike, size: int = 256) -> Material:
     )
 
 
-def broad_leaf(rng: Generator, colour: ArrayLike, vein: ArrayLike, size: int = 256) -> Material:
+def broad_leaf(rng: Generator, colour: Numbers, vein: Numbers, size: int = 256) -> Material:
     """One large veined leaf on transparency, its foot at the lower edge, alpha-tested."""
     x, y = pixel_grid(size)
     up, away = 1 - y, np.abs(x - 0.5)
@@ -264,7 +264,7 @@ def broad_leaf(rng: Generator, colour: ArrayLike, vein: ArrayLike, size: int = 2
     return textured(np.concatenate([albedo, cover[..., None]], axis=-1), roughness=0.7, mask=True)
 
 
-def star_leaves(rng: Generator, colour: ArrayLike, size: int = 256) -> Material:
+def star_leaves(rng: Generator, colour: Numbers, size: int = 256) -> Material:
     """A dozen five-pointed leaves scattered on transparency, alpha-tested."""
     x, y = pixel_grid(size)
     cover, albedo = np.zeros((size, size)), np.ones((size, size, 3)) * np.asarray(colour)
@@ -278,7 +278,7 @@ def star_leaves(rng: Generator, colour: ArrayLike, size: int = 256) -> Material:
     return textured(np.concatenate([albedo, cover[..., None]], axis=-1), roughness=0.85, mask=True)
 
 
-def scales(rng: Generator, colour: ArrayLike, belly: ArrayLike, size: int = 512) -> Material:
+def scales(rng: Generator, colour: Numbers, belly: Numbers, size: int = 512) -> Material:
     """Painted carp: rows of scales along the body (down the image), an eye band, a pale belly (image middle)."""
     x, y = pixel_grid(size)
     row = (y * 18).astype(int)
@@ -299,9 +299,7 @@ def scales(rng: Generator, colour: ArrayLike, belly: ArrayLike, size: int = 512)
     return textured(solid, roughness=0.7, mask=True)
 
 
-def veiled(
-    rng: Generator, sky: Float[ndarray, "h w 3"], tint: ArrayLike, cover: float = 0.5
-) -> Float[ndarray, "h w 3"]:
+def veiled(rng: Generator, sky: Float[ndarray, "h w 3"], tint: Numbers, cover: float = 0.5) -> Float[ndarray, "h w 3"]:
     """The dome image under streaks of high cloud that take the colour `tint` (linear)."""
     look = directions(sky.shape[0])
     up = np.maximum(look[..., 1], 1e-3)

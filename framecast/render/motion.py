@@ -4,11 +4,14 @@ Matrices are 4x4, column vectors, metres, right-handed, y up. A camera looks dow
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from numpy.typing import ArrayLike
+
+Numbers = Sequence[Any] | ndarray
+"""Numbers in nested sequences, or an array."""
 
 
 def move(x: float, y: float, z: float) -> Float[ndarray, "4 4"]:
@@ -23,7 +26,7 @@ def scale(x: float, y: float | None = None, z: float | None = None) -> Float[nda
     return np.diag([x, x if y is None else y, x if z is None else z, 1.0])
 
 
-def turn(axis: str | ArrayLike, angle: float) -> Float[ndarray, "4 4"]:
+def turn(axis: str | Numbers, angle: float) -> Float[ndarray, "4 4"]:
     """Rotation by `angle` radians about 'x', 'y', 'z' or a vector through the origin,
     counter-clockwise seen from its tip.
     """
@@ -35,13 +38,13 @@ def turn(axis: str | ArrayLike, angle: float) -> Float[ndarray, "4 4"]:
     return matrix
 
 
-def unit(vector: ArrayLike) -> Float[ndarray, "3"]:
+def unit(vector: Numbers) -> Float[ndarray, "3"]:
     """The vector at length one."""
     array = np.asarray(vector, np.float64)
     return array / np.linalg.norm(array)
 
 
-def aim(position: ArrayLike, target: ArrayLike, roll: float = 0.0) -> Float[ndarray, "4 4"]:
+def aim(position: Numbers, target: Numbers, roll: float = 0.0) -> Float[ndarray, "4 4"]:
     """Camera-to-world matrix at `position` whose -z points at `target`, level, then rolled about the view axis."""
     position = np.asarray(position, np.float64)
     back = unit(position - np.asarray(target, np.float64))
@@ -51,7 +54,7 @@ def aim(position: ArrayLike, target: ArrayLike, roll: float = 0.0) -> Float[ndar
     return matrix @ turn("z", roll)
 
 
-def along(points: ArrayLike, time: float) -> Float[ndarray, "3"]:
+def along(points: Numbers, time: float) -> Float[ndarray, "3"]:
     """Point at `time` in [0, 1] of the uniform Catmull-Rom curve through the points (k 3); clamped at both ends."""
     knots = np.asarray(points, np.float64)
     knots = np.concatenate([2 * knots[:1] - knots[1:2], knots, 2 * knots[-1:] - knots[-2:-1]])

@@ -9,10 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from numpy.typing import ArrayLike
 
 from framecast.render.finish import linear
-from framecast.render.motion import unit
+from framecast.render.motion import Numbers, unit
 
 
 def directions(height: int) -> Float[ndarray, "h w 3"]:
@@ -24,7 +23,7 @@ def directions(height: int) -> Float[ndarray, "h w 3"]:
 
 
 def dome(
-    zenith: ArrayLike, horizon: ArrayLike, ground: ArrayLike, sun: ArrayLike, glow: ArrayLike, height: int = 320
+    zenith: Numbers, horizon: Numbers, ground: Numbers, sun: Numbers, glow: Numbers, height: int = 320
 ) -> Float[ndarray, "h w 3"]:
     """Sky over ground of the sRGB colours given,
     with the light `glow` (linear) scattered around the direction `sun`.
@@ -39,10 +38,10 @@ def dome(
 
 
 def room(
-    ceiling: ArrayLike,
-    walls: ArrayLike,
-    floor: ArrayLike,
-    lamps: Sequence[tuple[ArrayLike, float, float]] = (),
+    ceiling: Numbers,
+    walls: Numbers,
+    floor: Numbers,
+    lamps: Sequence[tuple[Numbers, float, float]] = (),
     height: int = 48,
 ) -> Float[ndarray, "h w 3"]:
     """Even light of a closed room (linear radiance from above, the sides, below), as the ambient image of a sky.

@@ -10,11 +10,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 from numpy.random import Generator
-from numpy.typing import ArrayLike
 
 from framecast.render.finish import plain
 from framecast.render.mesh import join, placed
-from framecast.render.motion import move, scale, turn
+from framecast.render.motion import Numbers, move, scale, turn
 from framecast.render.scene import Instance, Material, Mesh, Pose
 from framecast.render.train_shapes import ball, box, tube
 
@@ -68,7 +67,7 @@ def bound(meshes: Sequence[Mesh]) -> Mesh:
     return replace(join(meshes), joints=joints, weights=weights)
 
 
-def limb(stations: ArrayLike, sides: int = 14) -> Mesh:
+def limb(stations: Numbers, sides: int = 14) -> Mesh:
     """A rounded limb through (x, y, z, radius) stations, resampled smoothly."""
     knots = np.asarray(stations, np.float64)
     t, fine = np.linspace(0, 1, len(knots)), np.linspace(0, 1, 6 * len(knots))

@@ -10,10 +10,9 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from numpy.typing import ArrayLike
 
 from framecast.render.mesh import box_uvs, from_grid, join, placed, shaded
-from framecast.render.motion import frame_along, move, turn
+from framecast.render.motion import Numbers, frame_along, move, turn
 from framecast.render.scene import Mesh
 
 
@@ -54,7 +53,7 @@ def convex(points: Float[ndarray, "n 3"], polygons: list[list[int]], crease: flo
     return shaded(points, np.zeros((len(points), 2)), triangles, crease)
 
 
-def lathe(profile: ArrayLike, segments: int = 32, tile: float = 1.0, crease: float = 40.0) -> Mesh:
+def lathe(profile: Numbers, segments: int = 32, tile: float = 1.0, crease: float = 40.0) -> Mesh:
     """Surface of revolution about y of the (radius, y) points (k 2), listed from the bottom to the top."""
     points = np.asarray(profile, np.float64)
     angle = np.linspace(0, 2 * np.pi, segments + 1)
@@ -79,7 +78,7 @@ def cylinder(radius: float, height: float, segments: int = 24, bevel: float = 0.
     return lathe([(0, 0), (r - b, 0), (r, b), (r, height - b), (r - b, height), (0, height)], segments, tile, 50)
 
 
-def tube(path: ArrayLike, radius: ArrayLike, sides: int = 8, tile: float = 1.0, closed: bool = False) -> Mesh:
+def tube(path: Numbers, radius: float | Numbers, sides: int = 8, tile: float = 1.0, closed: bool = False) -> Mesh:
     """A round bar along the polyline (k 3), of one radius or one per point;
     its ends are capped unless the path is closed.
     """
@@ -224,7 +223,7 @@ def closed_tube(path: Float[ndarray, "k 3"], thick: float, sides: int) -> Mesh:
     return from_grid(grid[::-1], uvs[::-1], 70)
 
 
-def wire(a: ArrayLike, b: ArrayLike, sag: float, radius: float = 0.008, steps: int = 16) -> Mesh:
+def wire(a: Numbers, b: Numbers, sag: float, radius: float = 0.008, steps: int = 16) -> Mesh:
     """A cable hanging from `a` to `b`, `sag` metres below the straight line in its middle."""
     t = np.linspace(0, 1, steps + 1)[:, None]
     path = np.asarray(a) * (1 - t) + np.asarray(b) * t - np.array([0, 4 * sag, 0]) * t * (1 - t)

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 from numpy.random import Generator
-from numpy.typing import ArrayLike
 
 from framecast.render.finish import mix, pixel_grid, rgb, step, textured
+from framecast.render.motion import Numbers
 from framecast.render.scene import Material
 from framecast.render.skies import directions
 
@@ -61,7 +61,7 @@ def vary(rng: Generator, number: Int[ndarray, "h w"]) -> Float[ndarray, "h w"]:
     return rng.uniform(-1, 1, int(number.max()) + 1)[number]
 
 
-def plaster(rng: Generator, colour: ArrayLike, age: float = 1.0, size: int = 512) -> Material:
+def plaster(rng: Generator, colour: Numbers, age: float = 1.0, size: int = 512) -> Material:
     """Limewash: soft stains, trowel marks and, with `age` up to 1, worn patches that show the grey coat below."""
     broad, fine = clouds(rng, size, 2, 4), clouds(rng, size, 16, 4)
     worn = step(clouds(rng, size, 3, 6), 0.68, 0.80) * age
@@ -73,7 +73,7 @@ def plaster(rng: Generator, colour: ArrayLike, age: float = 1.0, size: int = 512
     return textured(albedo, fine * 0.5 + broad * 0.6 - 0.35 * worn, 2 + 8 * age, 0.85 + 0.1 * fine)
 
 
-def bricks(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
+def bricks(rng: Generator, colour: Numbers, size: int = 512) -> Material:
     """A brick wall, 12 courses to the tile, with pale sunken mortar and burnt bricks."""
     inside, number = courses(size, 12, 4, 0.06, 3.0)
     grain = clouds(rng, size, 24, 3)
@@ -83,7 +83,7 @@ def bricks(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
     return textured(albedo, inside * 0.8 + grain * 0.25, 7, 0.75 + 0.2 * grain)
 
 
-def cobbles(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
+def cobbles(rng: Generator, colour: Numbers, size: int = 512) -> Material:
     """Setts in wavy courses, polished on top, dark between."""
     inside, number = courses(size, 10, 8, 0.05, 1.2)
     grain, wear = clouds(rng, size, 20, 3), clouds(rng, size, 2, 3)
@@ -93,7 +93,7 @@ def cobbles(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
     return textured(albedo, dome * 0.9 + grain * 0.2, 9, np.clip(0.85 - 0.35 * dome * wear - 0.1 * grain, 0.2, 1))
 
 
-def boards(rng: Generator, colour: ArrayLike, count: int = 6, gloss: float = 0.45, size: int = 512) -> Material:
+def boards(rng: Generator, colour: Numbers, count: int = 6, gloss: float = 0.45, size: int = 512) -> Material:
     """Long boards, running down the image, with wandering grain, a few knots and dark gaps."""
     x, _ = pixel_grid(size)
     board = (x * count).astype(int)
@@ -123,7 +123,7 @@ def asphalt(rng: Generator, wet: float = 0.0, size: int = 512) -> Material:
     )
 
 
-def marble_checks(rng: Generator, light: ArrayLike, dark: ArrayLike, size: int = 1024) -> Material:
+def marble_checks(rng: Generator, light: Numbers, dark: Numbers, size: int = 1024) -> Material:
     """A polished chequered floor, 4 x 4 slabs to the tile, each with its own veins."""
     x, y = pixel_grid(size)
     column, row = (x * 4).astype(int), (y * 4).astype(int)
@@ -138,7 +138,7 @@ def marble_checks(rng: Generator, light: ArrayLike, dark: ArrayLike, size: int =
     return textured(albedo, roughness=0.12 + 0.08 * warp + 0.3 * (1 - seam))
 
 
-def scratched_paint(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
+def scratched_paint(rng: Generator, colour: Numbers, size: int = 512) -> Material:
     """Enamel on steel: chipped edges of bare metal, fine scratches, grime."""
     chip = step(clouds(rng, size, 5, 6), 0.70, 0.73)
     scratch = step(lattice_noise(rng, size, (4, 200)), 0.52, 0.58) * 0.6
@@ -148,7 +148,7 @@ def scratched_paint(rng: Generator, colour: ArrayLike, size: int = 512) -> Mater
     return textured(mix(paint, rgb("8d8a86"), bare), 1 - chip, 2, 0.35 + 0.3 * bare + 0.15 * grime, bare * 0.9)
 
 
-def brushed_steel(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
+def brushed_steel(rng: Generator, colour: Numbers, size: int = 512) -> Material:
     """Brushed metal, the strokes down the image."""
     stroke = clouds(rng, size, 2, 5, stretch=32)
     smear = clouds(rng, size, 2, 4)
@@ -157,7 +157,7 @@ def brushed_steel(rng: Generator, colour: ArrayLike, size: int = 512) -> Materia
     )
 
 
-def bark(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
+def bark(rng: Generator, colour: Numbers, size: int = 512) -> Material:
     """Furrowed bark, ridges down the image."""
     warp = clouds(rng, size, 4, 3)
     x, _ = pixel_grid(size)
@@ -168,7 +168,7 @@ def bark(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
     return textured(albedo, ridge * 0.7 + grain * 0.4, 6, 0.95)
 
 
-def leaf_litter(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
+def leaf_litter(rng: Generator, colour: Numbers, size: int = 512) -> Material:
     """Forest floor: soil, moss and fallen leaves."""
     soil, moss = clouds(rng, size, 6, 6), step(clouds(rng, size, 3, 5), 0.45, 0.62)
     speck = step(clouds(rng, size, 40, 2), 0.62, 0.72)
@@ -179,7 +179,7 @@ def leaf_litter(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
     return textured(albedo, soil * 0.8 + 0.2 * speck + 0.3 * moss, 12, 0.92)
 
 
-def roof_tiles(rng: Generator, colour: ArrayLike, size: int = 512) -> Material:
+def roof_tiles(rng: Generator, colour: Numbers, size: int = 512) -> Material:
     """Overlapping clay tiles, rows across the image, the lower lip of each row proud."""
     x, y = pixel_grid(size)
     row = (y * 8).astype(int)
@@ -210,7 +210,7 @@ def canvas_painting(rng: Generator, palette: Float[ndarray, "k 3"], size: int = 
     return textured(albedo * (0.85 + 0.3 * (stroke - 0.5))[..., None], weave * 0.4 + stroke, 2, 0.6)
 
 
-def leaf_cluster(rng: Generator, colour: ArrayLike, size: int = 256, leaves: int = 26) -> Material:
+def leaf_cluster(rng: Generator, colour: Numbers, size: int = 256, leaves: int = 26) -> Material:
     """A twig of leaves on transparency, alpha-tested; the stem enters at the middle of the lower edge."""
     x, y = pixel_grid(size)
     albedo, cover = np.ones((size, size, 3)) * np.asarray(colour) * 0.6, np.zeros((size, size))
@@ -231,7 +231,7 @@ def leaf_cluster(rng: Generator, colour: ArrayLike, size: int = 256, leaves: int
     return textured(np.concatenate([albedo, cover[..., None]], axis=-1), roughness=0.85, mask=True)
 
 
-def frond(rng: Generator, colour: ArrayLike, size: int = 256) -> Material:
+def frond(rng: Generator, colour: Numbers, size: int = 256) -> Material:
     """A fern frond on transparency, alpha-tested: the stem runs up the image, leaflets to both sides."""
     x, y = pixel_grid(size)
     up = 1 - y
@@ -245,7 +245,7 @@ def frond(rng: Generator, colour: ArrayLike, size: int = 256) -> Material:
     return textured(np.concatenate([albedo, cover[..., None]], axis=-1), roughness=0.85, mask=True)
 
 
-def lit_windows(rng: Generator, wall: ArrayLike, glow: float = 4.0, size: int = 512) -> Material:
+def lit_windows(rng: Generator, wall: Numbers, glow: float = 4.0, size: int = 512) -> Material:
     """A facade at night, 8 x 6 windows to the tile, some lit in different colours, some blinds half down."""
     x, y = pixel_grid(size)
     column, row = (x * 8).astype(int), (y * 6).astype(int)
@@ -268,7 +268,7 @@ def lit_windows(rng: Generator, wall: ArrayLike, glow: float = 4.0, size: int = 
     )
 
 
-def shop_window(rng: Generator, tint: ArrayLike, glow: float = 2.2, size: int = 256) -> Material:
+def shop_window(rng: Generator, tint: Numbers, glow: float = 2.2, size: int = 256) -> Material:
     """A lit shop display seen once: shelves of goods in many colours before a bright wall, a dark frame."""
     x, y = pixel_grid(size)
     light = np.asarray(tint) * (0.55 + 0.45 * (1 - y))[..., None]
@@ -291,7 +291,7 @@ def shop_window(rng: Generator, tint: ArrayLike, glow: float = 2.2, size: int = 
     return textured(np.where(frame[..., None], 0.12, 0.05 * np.ones(3)), roughness=0.08, emission=light, glow=glow)
 
 
-def neon_sign(rng: Generator, colour: ArrayLike, glow: float = 12.0, size: int = 256) -> Material:
+def neon_sign(rng: Generator, colour: Numbers, glow: float = 12.0, size: int = 256) -> Material:
     """A sign of glowing strokes, like letters of no alphabet, three rows of them on a dark board."""
     x, y = pixel_grid(size)
     light = np.zeros((size, size))
