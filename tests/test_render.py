@@ -1,4 +1,5 @@
-"""The renderer: buffers against geometry worked out by hand and by an independent ray tracer, light against known energies."""
+"""The renderer: buffers against geometry worked out by hand and by an independent ray tracer, light against known
+energies."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import trimesh
+from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from framecast import clip, exr
 from framecast.frame import SKY, Frame, camera_motion
@@ -85,7 +88,7 @@ def floor_of(half: float = 40.0) -> Instance:
 
 
 def rays(camera: np.ndarray, jitter: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """World directions, of length 1 along the camera's axis, through all samples; and the sample positions in pixels."""
+    """World directions, of length 1 along the camera's axis, through all samples; and the samples in pixels."""
     height, width = SIZE
     y, x = np.mgrid[0:height, 0:width] + 0.5
     x, y = x + jitter[0], y + jitter[1]
@@ -151,8 +154,10 @@ def test_sphere():
     normal = directions * depth[..., None] - centre
     np.testing.assert_allclose(frame["depth"][0][inside], depth[inside], rtol=1e-3)
     np.testing.assert_allclose(frame["normal"][:, inside], normal[inside].T, atol=0.01)
-    assert (frame["object"][0][inside] == 7).all() and (frame["object"][0][outside] == 0).all()
-    assert (frame["depth"][0][outside] == SKY).all() and (frame["normal"][:, outside] == 0).all()
+    assert (frame["object"][0][inside] == 7).all()
+    assert (frame["object"][0][outside] == 0).all()
+    assert (frame["depth"][0][outside] == SKY).all()
+    assert (frame["normal"][:, outside] == 0).all()
 
 
 def test_moving_disc_has_true_motion_and_the_rest_stands_still():
@@ -195,7 +200,7 @@ def test_skinned_strip_swings_about_its_hinge():
     assert arm.sum() > 60
     for name, step in (("motion", -1), ("motion2", -2), ("motion_next", 1)):
         back = turned((0, 0, 1), angle(3.0 + step) - angle(3.0))[:3, :3]
-        before, _ = seen_at((points + [0, 0, 3]) @ back.T - [0, 0, 3], np.eye(4))
+        before, _ = seen_at((points + np.array([0, 0, 3])) @ back.T - [0, 0, 3], np.eye(4))
         np.testing.assert_allclose(frame[name][:, arm], (before - samples)[:, arm], atol=5e-3)
     hinge = (frame["object"][0] == 1) & (points[..., 0] < -0.05)
     assert (frame["motion"][:, hinge] == 0).all()
@@ -264,8 +269,10 @@ def test_alpha_mask_cuts_holes_in_every_buffer():
     one = Instance(card(2, 2), leaf, object=5, pose=lambda time: Pose(moved(0, 0, -2)))
     frame = Renderer(world(one, camera=lambda time: np.eye(4))).frame(0.0, SIZE)
     middle, quarter = SIZE[0] // 2, SIZE[1] // 4
-    assert frame["object"][0, middle, SIZE[1] // 2 + 8] == 5 and frame["depth"][0, middle, SIZE[1] // 2 + 8] < SKY
-    assert frame["object"][0, middle, quarter + 4] == 0 and frame["depth"][0, middle, quarter + 4] == SKY
+    assert frame["object"][0, middle, SIZE[1] // 2 + 8] == 5
+    assert frame["depth"][0, middle, SIZE[1] // 2 + 8] < SKY
+    assert frame["object"][0, middle, quarter + 4] == 0
+    assert frame["depth"][0, middle, quarter + 4] == SKY
 
 
 @pytest.mark.parametrize("roughness", [0.0, 0.3, 0.7, 1.0])
@@ -283,7 +290,8 @@ def test_split_sum_limits():
     facing = np.linspace(0, 1, 64)[8:]
     np.testing.assert_allclose(table[0, 8:, 0], 1 - (1 - facing) ** 5, atol=5e-3)
     np.testing.assert_allclose(table[0, 8:, 1], (1 - facing) ** 5, atol=5e-3)
-    assert (table.sum(-1) <= 1 + 1e-6).all() and (table.sum(-1)[:6, 24:] > 0.97).all()
+    assert (table.sum(-1) <= 1 + 1e-6).all()
+    assert (table.sum(-1)[:6, 24:] > 0.97).all()
 
 
 def sun(direction: tuple[float, float, float], **parts) -> Light:
@@ -296,7 +304,8 @@ def looking_down(time: float) -> np.ndarray:
 
 
 def test_a_sun_lights_by_its_cosine_and_casts_shadows():
-    """A white floor under a sun of irradiance pi: radiance is the cosine, less what the coat reflects; 0 in the shadow."""
+    """A white floor under a sun of irradiance pi: radiance is the cosine, less what the coat reflects; 0 in the
+    shadow."""
     lid = Instance(
         card(2, 2), Material(), object=1, pose=lambda time: Pose(moved(0, 1, 0) @ turned((1, 0, 0), -np.pi / 2))
     )
@@ -315,7 +324,7 @@ def test_a_sun_lights_by_its_cosine_and_casts_shadows():
 
 @pytest.mark.parametrize("kind", ["point", "spot"])
 def test_lamps_fall_off_and_cast_shadows(kind):
-    """Irradiance is intensity / distance^2 times the cosine; a spot ends at its cone; a lid darkens what is below it."""
+    """Irradiance is intensity / distance^2 times the cosine; a spot ends at its cone; a lid casts a shadow."""
     lamp = Light(
         kind, (1, 1, 1), 4 * np.pi, lambda time: LightPose(np.array([0, 2.0, 0]), np.array([0, -1.0, 0])),
         inner_cone=0.8, outer_cone=0.85, reach=1000.0,
@@ -362,12 +371,15 @@ def busy(time_of_day: Callable[[float], tuple] = lambda time: (0.4, -1, -0.3)) -
     stripes = np.full((16, 16, 4), 255, np.uint8)
     stripes[:, ::4, :3] = 40
     light = Light("sun", (1, 0.9, 0.8), 3, lambda t: LightPose(np.zeros(3), np.asarray(time_of_day(t), float)), 0.02)
+    ground = Material(base_texture=Texture(stripes, True))
+    leaves = Material(base_texture=Texture(leaf, True), alpha_mode="mask", double_sided=True)
     parts = (
-        Instance(card(12, 12, 6), Material(base_texture=Texture(stripes, True)), pose=lambda t: Pose(turned((1, 0, 0), -np.pi / 2))),
-        Instance(ball(0.7, 24), Material((0.8, 0.3, 0.2, 1), roughness=0.9), 1, lambda t: Pose(moved(0.1 * t - 0.5, 0.7, -3))),
-        Instance(card(1, 1), Material(base_texture=Texture(leaf, True), alpha_mode="mask", double_sided=True), 2,
-                 lambda t: Pose(moved(1, 0.6, -2.5) @ turned((0, 1, 0), 0.2 * t))),
-    )  # fmt: skip
+        Instance(card(12, 12, 6), ground, pose=lambda t: Pose(turned((1, 0, 0), -np.pi / 2))),
+        Instance(
+            ball(0.7, 24), Material((0.8, 0.3, 0.2, 1), roughness=0.9), 1, lambda t: Pose(moved(0.1 * t, 0.7, -3))
+        ),
+        Instance(card(1, 1), leaves, 2, lambda t: Pose(moved(1.5, 0.6, -2.5) @ turned((0, 1, 0), 0.2 * t))),
+    )
     return world(*parts, sky=DIM, lights=(light,),
                  camera=lambda t: moved(0.05 * t, 1.2, 1) @ turned((1, 0, 0), -0.25))  # fmt: skip
 
@@ -384,7 +396,8 @@ def test_a_frame_depends_on_nothing_but_its_arguments():
 
 
 def test_shading_of_still_light_does_not_move_and_moving_light_is_found():
-    """Diffuse things under a fixed sun keep their colour while the camera and things move; a moving sun marks the shadow."""
+    """Diffuse things under a fixed sun keep their colour while the camera and things move; a moving sun marks the
+    shadow."""
     still = changes(Renderer(busy()), 2.0, SIZE)
     mild = still.shading[0][~still.disoccluded[0]]
     assert np.quantile(mild, 0.9) < 0.01
@@ -420,7 +433,8 @@ def test_true_motion_predicts_the_reference_except_where_shading_moves():
     seen = ~found.disoccluded[0]
     error = lambda a, where: float(((a - now)[:, where] ** 2).mean())  # noqa: E731
     calm, moving = seen & (found.shading[0] < 0.02), seen & (found.shading[0] > 0.1)
-    assert calm.mean() > 0.5 and moving.mean() > 0.005
+    assert calm.mean() > 0.5
+    assert moving.mean() > 0.005
     guess = warped(before, found.motion)
     assert error(guess, calm) < 0.3 * error(before, calm)
     assert error(guess, moving) > 20 * error(guess, calm)
@@ -451,7 +465,8 @@ def test_jitter_sequence():
     assert [reference.phases(s) for s in (1, 1.5, 1.7, 2, 3)] == [8, 18, 24, 32, 72]
     points = np.array([reference.jitter(k, 32) for k in range(32)])
     np.testing.assert_allclose(points[:3], [[0, -1 / 6], [-0.25, 1 / 6], [0.25, -7 / 18]], atol=1e-12)
-    assert np.abs(points).max() < 0.5 and np.abs(points.mean(0)).max() < 0.04
+    assert np.abs(points).max() < 0.5
+    assert np.abs(points.mean(0)).max() < 0.04
     assert reference.jitter(33, 32) == reference.jitter(1, 32)
 
 
@@ -460,8 +475,6 @@ def test_oracle_agrees_on_visibility_depth_and_motion():
     trimesh = pytest.importorskip(
         "trimesh", reason="the oracle needs trimesh and embreex: pip install 'framecast[dev]'"
     )
-    from trimesh.ray.ray_pyembree import RayMeshIntersector
-
     torus = trimesh.creation.torus(0.8, 0.35, major_sections=40, minor_sections=20)
     points, faces = np.asarray(torus.vertices), np.asarray(torus.faces)
     mesh = Mesh(points, smooth_normals(points, faces.reshape(-1)), points[:, :2], faces.reshape(-1))
@@ -502,14 +515,20 @@ def small(monkeypatch) -> make.Settings:
 def test_clip_on_disk(small, tmp_path: Path):
     """What a reader finds: frames that pass the clip's checks, jitter, cuts, references and masks at display size."""
     made = make.render_clip(small, tmp_path / "clip", frames=3, preview=True)
-    assert len(made) == 3 and made.scale == 1.5 and made.span == 1.0
+    assert len(made) == 3
+    assert made.scale == 1.5
+    assert made.span == 1.0
     assert made.provenance["adapter"] == device.adapter_name()
-    assert made[2].reset.item() and not made[1].reset.item()
+    assert made[2].reset.item()
+    assert not made[1].reset.item()
     np.testing.assert_allclose(made[1].jitter[0].numpy(), reference.jitter(1, 18), atol=1e-6)
-    assert made[1].normal is not None and made[1].motion_next is not None and made[1].object is not None
+    assert made[1].normal is not None
+    assert made[1].motion_next is not None
+    assert made[1].object is not None
     assert made.reference(1).shape == (1, 3, 36, 48)
     masks = exr.read(tmp_path / "clip/masks/0001.exr")
-    assert set(masks.channels) == set(make.MASKS) and masks.size == (36, 48)
+    assert set(masks.channels) == set(make.MASKS)
+    assert masks.size == (36, 48)
     assert exr.read(tmp_path / "clip/masks/0002.exr").channels["disoccluded.Y"].min() == 1
     assert set(exr.read(tmp_path / "clip/ranges/0001.exr").channels) == set(reference.RANGES)
     assert (tmp_path / "clip/preview.png").stat().st_size > 1000
@@ -540,7 +559,7 @@ def test_errors_are_sentences(monkeypatch, tmp_path: Path):
         make._check(make.Settings("x", size=(4, 4)), tmp_path, 1)
     import wgpu
 
-    monkeypatch.setattr(wgpu.gpu, "enumerate_adapters_sync", lambda: [])
+    monkeypatch.setattr(wgpu.gpu, "enumerate_adapters_sync", list)
     with pytest.raises(FileNotFoundError, match="apt install mesa-vulkan-drivers"):
         device.open_device.__wrapped__()
 

@@ -28,8 +28,11 @@ class Canvas:
         self.depth = device.target(size, passes.DEPTH)
         self.occlusion = device.target(size, passes.OCCLUSION)
         mirrors = stage.scene.mirrors if lit is None else ()
-        self.lit = device.target(size, passes.LIT) if lit is None else None
-        self._lit_view = self.lit.create_view() if lit is None else lit
+        self.lit: Any = None
+        self._lit_view = lit
+        if lit is None:
+            self.lit = device.target(size, passes.LIT)
+            self._lit_view = self.lit.create_view()
         self.reflections = device.target(size if mirrors else (1, 1), passes.LIT, layers=max(len(mirrors), 1))
         behind = [device.layer(self.reflections, k) for k in range(len(mirrors))]
         self.mirrors = [Canvas(stage, size, light, environment, lit=view) for view in behind]
@@ -38,6 +41,7 @@ class Canvas:
         self.instances = device.buffer(stage.instances(0.0, _SOME_VIEW), "STORAGE|COPY_DST")
         self.groups = self._groups(environment)
         self.vectors: Vectors | None = None
+        self.one_of_many = False
 
     def _groups(self, environment: Environment) -> dict[str, Any]:
         surface = [self.targets[name] for name in passes.FORMATS]
@@ -57,12 +61,13 @@ class Canvas:
         for canvas, mirror in zip(self.mirrors, self.stage.scene.mirrors, strict=False):  # mirrors show no mirrors
             canvas.aim(time, mirrored(view, mirror))
 
-    def draw(self, jitter: Jitter, lod_bias: float) -> None:
-        """Draws and lights one picture."""
+    def draw(self, jitter: Jitter, lod_bias: float, *, one_of_many: bool = False) -> None:
+        """Draws and lights one picture. `one_of_many`: it will be averaged with many others of different jitter."""
         for canvas in self.mirrors:
-            canvas.draw(jitter, lod_bias)
+            canvas.draw(jitter, lod_bias, one_of_many=one_of_many)
+        self.one_of_many = one_of_many
         exposure = self.stage.scene.exposure(self.time)
-        device.write(self.view_buffer, pack(self.view, jitter, self.size, lod_bias))
+        device.write(self.view_buffer, pack(self.view, jitter, self.size, lod_bias, 3.0 if one_of_many else 0.0))
         frame = lighting.pack(self.stage, self.view, self.size, jitter, exposure, len(self.mirrors))
         device.write(self.frame_buffer, frame)
         encoder = device.open_device().create_command_encoder()
@@ -85,7 +90,7 @@ class Canvas:
         run.end()
 
     def _draw(self, run: Any, draw: Draw) -> None:
-        run.set_bind_group(1, draw.surface)
+        run.set_bind_group(1, draw.surface[self.one_of_many])
         passes.bind_streams(run, draw, moments=(self.light.moment,), attributes=self.light.moment)
         run.draw_indexed(draw.index_count, draw.count, 0, 0, draw.first)
 
@@ -153,7 +158,7 @@ class Vectors:
         for draw in canvas.draws:
             if draw.material.alpha_mode != "blend":
                 run.set_pipeline(passes.motion(draw.material.double_sided, draw.flipped))
-                run.set_bind_group(1, draw.surface)
+                run.set_bind_group(1, draw.surface[1])
                 passes.bind_streams(run, draw, moments=(0, 1, 2, 3), attributes=1)
                 run.draw_indexed(draw.index_count, draw.count, 0, 0, draw.first)
         run.end()

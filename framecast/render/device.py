@@ -130,7 +130,7 @@ def upload(levels: list[Array], form: str, *, layers: int = 1) -> Any:
         size=(width, height, layers), format=form, usage="TEXTURE_BINDING|COPY_DST", mip_level_count=len(levels)
     )
     for index, level in enumerate(levels):
-        data = np.ascontiguousarray(level, dtype=dtype)
+        data: Array = np.ascontiguousarray(level, dtype=dtype)
         rows, columns = data.shape[0] // layers, data.shape[1]
         layout = {"bytes_per_row": columns * channels * data.itemsize, "rows_per_image": rows}
         device.queue.write_texture({"texture": texture, "mip_level": index}, data, layout, (columns, rows, layers))
@@ -172,7 +172,7 @@ def bind(layout: Any, *resources_: Any) -> Any:
 
 @functools.cache
 def sampler(kind: str) -> Any:
-    """`clamp` and `repeat` (trilinear, anisotropic), `plain`, `sky` (repeats in x only) or `shadow` (comparing)."""
+    """`clamp` and `repeat` (trilinear; `+` anisotropic), `plain`, `sky` (repeats in x only) or `shadow` (comparing)."""
     device, linear = open_device(), {"mag_filter": "linear", "min_filter": "linear"}
     if kind == "shadow":
         return device.create_sampler(compare="greater-equal", **linear)
@@ -180,7 +180,11 @@ def sampler(kind: str) -> Any:
         return device.create_sampler(**linear)
     if kind == "sky":
         return device.create_sampler(address_mode_u="repeat", mipmap_filter="linear", **linear)
-    mode = {"clamp": "clamp-to-edge", "repeat": "repeat"}[kind]
+    mode = {"clamp": "clamp-to-edge", "repeat": "repeat"}[kind.rstrip("+")]
     return device.create_sampler(
-        address_mode_u=mode, address_mode_v=mode, mipmap_filter="linear", max_anisotropy=8, **linear
+        address_mode_u=mode,
+        address_mode_v=mode,
+        mipmap_filter="linear",
+        max_anisotropy=8 if kind.endswith("+") else 1,
+        **linear,
     )

@@ -1,7 +1,7 @@
 """Meshes as they are at one time: morphing, skinning, normals, tangents. All in numpy.
 
-Done on the CPU in double precision: characters are small, every frame needs one new pose only (the earlier ones are kept),
-and the true earlier positions, not chained motion, are what makes `motion2` exact.
+Done on the CPU in double precision: characters are small, every frame needs one new pose only (the earlier ones are
+kept), and the true earlier positions, not chained motion, are what makes `motion2` exact.
 """
 
 from typing import NamedTuple
@@ -44,8 +44,8 @@ def smooth_normals(positions: Float[Array, "n 3"], indices: Integer[Array, " m"]
 def tangents(mesh: Mesh, positions: Float[Array, "n 3"], normals: Float[Array, "n 3"]) -> Float[Array, "n 4"]:
     """Unit directions of growing u, at right angles to the normals, and the bitangent's sign.
 
-    The bitangent `sign * cross(normal, tangent)` points to *decreasing* v, up in the image, as glTF's green-up normal maps
-    expect. Where the uvs say nothing, any direction at right angles to the normal.
+    The bitangent `sign * cross(normal, tangent)` points to *decreasing* v, up in the image, as glTF's green-up normal
+    maps expect. Where the uvs say nothing, any direction at right angles to the normal.
     """
     triangles = mesh.indices.reshape(-1, 3)
     p, uv = positions[triangles], mesh.uvs[triangles]

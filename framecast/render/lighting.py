@@ -12,10 +12,11 @@ from framecast.render.view import View, rays
 
 Array = np.ndarray
 
+_VECTORS = (("color", "kind", "u4"), ("position", "radius", "f4"), ("direction", "reach", "f4"))
 LIGHT = np.dtype(
-    [("color", "f4", 3), ("kind", "u4"), ("position", "f4", 3), ("radius", "f4"), ("direction", "f4", 3), ("reach", "f4")]
+    [part for vector, scalar, kind in _VECTORS for part in ((vector, "f4", 3), (scalar, kind))]
     + [("inner", "f4"), ("outer", "f4"), ("shadow", "u4"), ("shadows", "u4"), ("splits", "f4", 4)]
-)  # fmt: skip
+)
 MAP = np.dtype([("matrix", "f4", (4, 4)), ("texel", "f4"), ("range", "f4"), ("layer", "u4"), ("pad", "u4")])
 KINDS = {"sun": 0, "point": 1, "spot": 2}
 
@@ -92,7 +93,7 @@ class Lighting:
         if not draw.casts_shadow or mode == "blend":
             return
         run.set_pipeline(passes.shadow(mode == "mask"))
-        run.set_bind_group(1, draw.surface)
+        run.set_bind_group(1, draw.surface[1])
         passes.bind_streams(run, draw, moments=(self.moment,), attributes=self.moment)
         run.draw_indexed(draw.index_count, draw.count, 0, 0, draw.first)
 
@@ -103,10 +104,21 @@ _ANY = View(np.eye(4), np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0], [0,
 def _packed(light: Light, pose: LightPose, dimmer: float, first: int, maps: list[shadows.ShadowMap]) -> tuple:
     color = np.asarray(light.color, np.float64) * light.intensity * dimmer
     direction = np.asarray(pose.direction, np.float64)
-    direction = direction / max(np.linalg.norm(direction), 1e-9)
+    direction = direction / max(float(np.linalg.norm(direction)), 1e-9)
     splits = ([m.far for m in maps] + [0.0] * 4)[:4]
     cones = np.cos(min(light.inner_cone, light.outer_cone - 1e-3)), np.cos(light.outer_cone)
-    return (color, KINDS[light.kind], pose.position, light.radius, direction, light.reach, *cones, first, len(maps), splits)
+    return (
+        color,
+        KINDS[light.kind],
+        pose.position,
+        light.radius,
+        direction,
+        light.reach,
+        *cones,
+        first,
+        len(maps),
+        splits,
+    )
 
 
 def pack(

@@ -113,8 +113,8 @@ def render_clip(
 def _check(settings: Settings, folder: Path, workers: int) -> None:
     if min(settings.size) < 8 or settings.scale < 1 or settings.samples < 0 or workers < 1:
         raise ValueError(
-            f"cannot render {settings.size[1]}x{settings.size[0]} at scale {settings.scale} with {settings.samples} samples "
-            f"and {workers} workers; sizes start at 8x8, scale at 1, samples at 0, workers at 1"
+            f"cannot render {settings.size[1]}x{settings.size[0]} at scale {settings.scale} with {settings.samples} "
+            f"samples and {workers} workers; sizes start at 8x8, scale at 1, samples at 0, workers at 1"
         )
     device.open_device()
     for path in sorted((folder / "frames").glob("[0-9]*.exr"))[:1]:

@@ -73,7 +73,7 @@ def layout(name: str) -> Any:
         return _entries("FRAGMENT", *[_PLAIN] * 4, _UINT, *[_PLAIN] * 4)
     if name == "lighting":
         shadows = (_DEPTHS, _DEPTHS, {"sampler": {"type": "comparison"}})
-        images = (_FLOAT, _FLOAT, _FLOATS, {"sampler": {}}, _FLOATS, {"sampler": {}})
+        images: tuple[dict, ...] = (_FLOAT, _FLOAT, _FLOATS, {"sampler": {}}, _FLOATS, {"sampler": {}})
         return _entries("FRAGMENT", _UNIFORM, _STORAGE, _STORAGE, *shadows, *images)
     if name == "gather":
         return _entries("COMPUTE", _UNIFORM, _WRITTEN, _PLAIN)

@@ -15,7 +15,7 @@ Array = np.ndarray
 
 
 def shown(name: str, pixels: Float[Array, "c h w"]) -> UInt8[Array, "h w 3"]:
-    """One layer as a picture: colours as displayed, depth as inverse depth, motion as hue and lightness, ids as hues."""
+    """One layer as a picture: colours as displayed, depth inverted, motion as hue and strength, ids as hues."""
     if name in ("color", "reference", "albedo"):
         picture = color.to_display(torch.from_numpy(np.ascontiguousarray(pixels, np.float32))).numpy()
     elif name.startswith("depth"):

@@ -1,9 +1,10 @@
 """References: what a display should have shown, as the mean of many jittered pictures; and what varies inside a pixel.
 
-A reference is rendered at display size N times with sample offsets from the Halton(2, 3) sequence, and averaged over each
-pixel with equal weights (a box filter one display pixel wide). The mean is taken of c / (1 + max(r, g, b)) and taken back
-afterwards, so that edges of bright highlights come out smooth under any display transform; where a pixel is uniform this is
-exactly the mean of radiance. Texture level of detail is that of the display resolution.
+A reference is rendered at display size N times with sample offsets from the Halton(2, 3) sequence, and averaged over
+each pixel with equal weights (a box filter one display pixel wide). The mean is taken of c / (1 + max(r, g, b)) and
+taken back afterwards, so that edges of bright highlights come out smooth under any display transform; where a pixel is
+uniform this is exactly the mean of radiance. Texture level of detail is that of the display resolution; seen at a
+slant, textures are resolved by the samples instead of by anisotropic look-ups.
 """
 
 from typing import NamedTuple
@@ -25,8 +26,8 @@ RANGES = (
     "normal_spread.Y",
     "geometric_spread.Y",
 )
-"""Channels of a range file. The spreads are the largest sum of absolute differences between the normal of any sample of the
-pixel and that of its first one (0..6), normal-mapped and not."""
+"""Channels of a range file. The spreads are the largest sum of absolute differences between the normal of any sample
+of the pixel and that of its first one (0..6), normal-mapped and not."""
 _KEPT = 14
 """Numbers a pixel in ranges.wgsl: RANGES, then the first sample's two normals."""
 
@@ -72,7 +73,7 @@ def reference(renderer: Renderer, time: float, size: Size, samples: int = 64, *,
         normals = canvas.targets["normal"], canvas.targets["geometric"]
         groups["ranges"] = device.bind(passes.layout("ranges"), settings, found, canvas.lit, *normals)
     for index in range(samples):
-        canvas.draw(jitter(index, samples), 0.0)
+        canvas.draw(jitter(index, samples), 0.0, one_of_many=samples > 1)
         device.write(settings, np.array([width, height, index, 0], np.uint32))
         _gather(groups, canvas)
     mean = device.read_floats(sums, (height, width, 4))[..., :3].transpose(2, 0, 1) / samples

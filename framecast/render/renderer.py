@@ -1,6 +1,7 @@
 """Frames of a scene: every buffer of a clip's frame, references, and the masks that evaluation asks for.
 
-Each is a pure function of scene, time, size and jitter; only scratch memory and finished shadow maps are kept between calls.
+Each is a pure function of scene, time, size and jitter; only scratch memory and finished shadow maps are kept between
+calls.
 """
 
 from typing import NamedTuple
@@ -114,14 +115,14 @@ class Changes(NamedTuple):
     disoccluded: Bool[Array, "1 h w"]
     """The surface was hidden or off screen one frame ago."""
     shading: Float[Array, "1 h w"]
-    """How much the *same surface point* changed its displayed colour (0..1): moving shadows, highlights, reflections."""
+    """How much the *same surface point* changed its displayed colour, 0..1: shadows, highlights, reflections move."""
 
 
 def changes(renderer: Renderer, time: float, size: Size) -> Changes:
     """Compares the visible surface points with what they were, shaded exactly, one frame ago.
 
-    Each point is shaded twice: as it is, and as it was, with that time's lights, shadows, mirrors and camera. Nothing is
-    resampled, so a still, diffuse scene gives exactly 0. Both are shown with the exposure of `time`.
+    Each point is shaded twice: as it is, and as it was, with that time's lights, shadows, mirrors and camera. Nothing
+    is resampled, so a still, diffuse scene gives exactly 0. Both are shown with the exposure of `time`.
     """
     before = renderer.canvas_before(time, size)
     before.draw((0.0, 0.0), 0.0)

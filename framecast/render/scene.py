@@ -1,12 +1,12 @@
 """What the renderer draws: meshes, materials, lights, a camera, a sky, all pure functions of time.
 
-Everything is numpy and knows nothing of the GPU. World space is right-handed; +y is up by habit. A camera looks down its
-own -z with +y up. Matrices act on column vectors (`matrix @ point`), so the translation stands in the last column. Time is
-in clip frames and may be any real number, also negative: the renderer evaluates `time - 2`, `time - 1`, `time` and
-`time + 1` to get exact motion, so every callable here has to give the same answer for the same time, always.
+Everything is numpy and knows nothing of the GPU. World space is right-handed; +y is up by habit. A camera looks down
+its own -z with +y up. Matrices act on column vectors (`matrix @ point`), so the translation stands in the last column.
+Time is in clip frames and may be any real number, also negative: the renderer evaluates `time - 2`, `time - 1`, `time`
+and `time + 1` to get exact motion, so every callable here has to give the same answer for the same time, always.
 
-Light is measured in plain radiometric units that only exposure turns into a picture: a white diffuse surface facing a sun
-of intensity pi has radiance 1.
+Light is measured in plain radiometric units that only exposure turns into a picture: a white diffuse surface facing a
+sun of intensity pi has radiance 1.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,8 @@ class Texture:
     pixels: Num[Array, "h w 4"]
     """uint8, or a float type for values outside [0, 1]. Alpha is coverage, not premultiplied."""
     srgb: bool = False
-    """Whether the colour of uint8 pixels is sRGB-encoded (base colour and emissive are; normals and roughness are not)."""
+    """Whether the colour of uint8 pixels is sRGB-encoded (base colour and emissive are; normals and roughness are
+    not)."""
     repeat: bool = True
     """Tiles outside [0, 1], or else repeats its border."""
 
@@ -50,7 +51,8 @@ class Material:
     """Radiance that the surface adds, linear RGB, any size."""
     emissive_texture: Texture | None = None
     alpha_mode: Literal["opaque", "mask", "blend"] = "opaque"
-    """`mask`: pixels with alpha below `alpha_cutoff` are not there. `blend`: drawn over the lit picture, absent from buffers."""
+    """`mask`: pixels with alpha below `alpha_cutoff` are not there. `blend`: drawn over the lit picture, absent from
+    buffers."""
     alpha_cutoff: float = 0.5
     double_sided: bool = False
 
@@ -79,7 +81,8 @@ class Pose(NamedTuple):
     """Where a mesh is at one time."""
 
     matrix: Array
-    """4x4, model to world. For a skinned mesh joints already lead to world space, and this is the identity (as in glTF)."""
+    """4x4, model to world. For a skinned mesh joints already lead to world space, and this is the identity (as in
+    glTF)."""
     joints: Array | None = None
     """j 4 4, joint world matrix @ inverse bind matrix."""
     morph_weights: Array | None = None
@@ -93,12 +96,13 @@ class Instance:
     mesh: Mesh
     material: Material
     object: int = 0
-    """0 = static world; its pose is then read once, at time 0. Things that move by themselves have numbers of their own,
-    1 to 2047 (exact in a half float); the parts of one thing share a number."""
+    """0 = static world; its pose is then read once, at time 0. Things that move by themselves have numbers of their
+    own, 1 to 2047 (exact in a half float); the parts of one thing share a number."""
     pose: Callable[[float], Pose] = field(default=lambda time: Pose(np.eye(4)))
     casts_shadow: bool = True
     mirror: int | None = None
-    """Index in `Scene.mirrors`: this surface lies in that plane and shows the planar reflection, blurred by its roughness."""
+    """Index in `Scene.mirrors`: this surface lies in that plane and shows the planar reflection, blurred by its
+    roughness."""
 
 
 class LightPose(NamedTuple):
@@ -116,10 +120,12 @@ class Light:
     color: tuple[float, float, float]
     """Linear RGB."""
     intensity: float
-    """Sun: irradiance on a surface that faces it. Point and spot: radiant intensity; the irradiance is intensity / distance^2."""
+    """Sun: irradiance on a surface that faces it. Point and spot: radiant intensity; the irradiance is intensity /
+    distance^2."""
     at: Callable[[float], LightPose]
     radius: float = 0.0
-    """Softness of the shadow's edge. Sun: half its angle in the sky, radians (the real one 0.0047). Others: radius in scene units."""
+    """Softness of the shadow's edge. Sun: half its angle in the sky, radians (the real one 0.0047). Others: radius in
+    scene units."""
     inner_cone: float = 0.0
     outer_cone: float = 0.785
     """Spot: half angles in radians where the light begins to fall off and where it ends."""
@@ -146,8 +152,8 @@ class Camera:
 class Sky:
     """Radiance from infinitely far away, as an equirectangular image.
 
-    The top row looks to +y, the middle column to -z, columns run to the right (towards +x). `ambient` lights the surfaces
-    (diffuse and glossy) where the visible sky would be wrong, as in a room; None: the same as `radiance`.
+    The top row looks to +y, the middle column to -z, columns run to the right (towards +x). `ambient` lights the
+    surfaces (diffuse and glossy) where the visible sky would be wrong, as in a room; None: the same as `radiance`.
     """
 
     radiance: Float[Array, "h w 3"]
@@ -158,7 +164,8 @@ class Sky:
 
 @dataclass(frozen=True, eq=False)
 class Mirror:
-    """A plane that reflects exactly: the scene is rendered once more behind it. Reflects the side that `normal` points to."""
+    """A plane that reflects exactly: the scene is rendered once more behind it. Reflects the side that `normal` points
+    to."""
 
     point: Float[Array, "3"]
     normal: Float[Array, "3"]

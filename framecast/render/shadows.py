@@ -1,5 +1,6 @@
-"""Where lights look: the matrices of shadow maps, for suns in cascades, for lamps one map or the six faces of a cube."""
+"""Where lights look: the matrices of shadow maps. Suns have cascades, lamps one map or the six faces of a cube."""
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +39,7 @@ def sun_maps(
     axes = _axes(pose.direction)
     splits = _splits(view.near, reach)
     maps = []
-    for k, (near, far) in enumerate(zip(splits[:-1], splits[1:], strict=True)):
+    for k, (near, far) in enumerate(itertools.pairwise(splits)):
         centre, radius = _slice_ball(view, near, far)
         texel = 2 * radius / (SUN_SIZE - 2)
         local = axes @ centre

@@ -91,7 +91,8 @@ def irradiance(image: Float[Array, "h w 3"]) -> Float[Array, "32 64 3"]:
 
 @functools.cache
 def split_sum() -> Float[Array, "32 64 3"]:
-    """Scale and offset of f0 for the light that GGX reflects of a uniform sky; columns n.v in 0..1, rows roughness in 0..1.
+    """Scale and offset of f0 for the light that GGX reflects of a uniform sky; columns n.v in 0..1, rows roughness in
+    0..1.
 
     1024 half vectors a cell, drawn in proportion to D(h) n.h from a Hammersley set; height-correlated Smith masking.
     """

@@ -55,15 +55,18 @@ def mirrored(view: View, mirror: Mirror) -> View:
 def jitter_clip(jitter: tuple[float, float], size: tuple[int, int]) -> tuple[float, float]:
     """Clip-space offset (times w) that puts the sample at pixel centre + jitter.
 
-    The picture moves by -jitter pixels, so that what stood at centre + jitter arrives at the centre. Size is (height, width).
+    The picture moves by -jitter pixels, so that what stood at centre + jitter arrives at the centre. Size is (height,
+    width).
     """
     return -2 * jitter[0] / size[1], 2 * jitter[1] / size[0]
 
 
-def pack(view: View, jitter: tuple[float, float], size: tuple[int, int], lod_bias: float) -> Float[Array, "12"]:
+def pack(
+    view: View, jitter: tuple[float, float], size: tuple[int, int], lod_bias: float, sharpen: float
+) -> Float[Array, "12"]:
     """The `View` struct of geometry.wgsl."""
     plane = np.zeros(4) if view.plane is None else view.plane
-    head = (*jitter_clip(jitter, size), lod_bias, 0.0)
+    head = (*jitter_clip(jitter, size), lod_bias, sharpen)
     return np.concatenate([head, np.append(view.camera[:3, 3], 1.0), plane]).astype(np.float32)
 
 

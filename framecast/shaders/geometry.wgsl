@@ -3,7 +3,7 @@
 struct View {
     jitter: vec2f,      // clip-space offset times w; minus the sample's offset from the pixel centre
     lod_bias: f32,      // log2(render size / display size)
-    size: f32,          // unused
+    sharpen: f32,       // largest further bias where a texture is seen at a slant; 0: the sampler is anisotropic itself
     eye: vec4f,
     plane: vec4f,       // world points p with dot(plane, (p, 1)) < 0 are cut away where CLIP is set
 };
@@ -71,21 +71,32 @@ struct Texels {
     emissive: vec3f,
 };
 
+// A sampler that is not anisotropic takes the level of the long side of a pixel's footprint; this goes down to that of its
+// short side. Only for pictures of which many are averaged: they resolve the long side.
+fn bias_at(uv: vec2f, size: vec2u) -> f32 {
+    let dx = dpdx(uv) * vec2f(size);
+    let dy = dpdy(uv) * vec2f(size);
+    let long2 = max(dot(dx, dx), dot(dy, dy));
+    let area = abs(dx.x * dy.y - dx.y * dy.x);
+    return view.lod_bias - clamp(log2(long2 / max(area, 1e-12)), 0.0, view.sharpen);
+}
+
 fn texels(uv: vec2f) -> Texels {
     var t = Texels(vec4f(1.0), vec3f(0.0, 0.0, 1.0), 1.0, 1.0, vec3f(1.0));
+    let bias = bias_at(uv, select(textureDimensions(normal_map), textureDimensions(base_map), BASE));
     if (BASE) {
-        t.base = textureSampleBias(base_map, base_sampler, uv, view.lod_bias);
+        t.base = textureSampleBias(base_map, base_sampler, uv, bias);
     }
     if (BUMPS) {
-        t.normal = textureSampleBias(normal_map, normal_sampler, uv, view.lod_bias).xyz * 2.0 - 1.0;
+        t.normal = textureSampleBias(normal_map, normal_sampler, uv, bias).xyz * 2.0 - 1.0;
     }
     if (SURFACE) {
-        let surface = textureSampleBias(surface_map, surface_sampler, uv, view.lod_bias);
+        let surface = textureSampleBias(surface_map, surface_sampler, uv, bias);
         t.roughness = surface.g;
         t.metallic = surface.b;
     }
     if (GLOW) {
-        t.emissive = textureSampleBias(emissive_map, emissive_sampler, uv, view.lod_bias).rgb;
+        t.emissive = textureSampleBias(emissive_map, emissive_sampler, uv, bias).rgb;
     }
     t.base *= material.base;
     t.roughness = clamp(t.roughness * material.roughness, 0.0, 1.0);
