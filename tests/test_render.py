@@ -14,7 +14,7 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 from framecast import clip, exr
 from framecast.frame import SKY, Frame, camera_motion
 from framecast.render import device, make, reference, shadows
-from framecast.render.geometry import smooth_normals
+from framecast.render.geometry import shape, smooth_normals
 from framecast.render.renderer import Renderer, changes
 from framecast.render.scene import Camera, Instance, Light, LightPose, Material, Mesh, Mirror, Pose, Scene, Sky, Texture
 from framecast.render.sky import split_sum
@@ -87,23 +87,23 @@ def floor_of(half: float = 40.0) -> Instance:
     return Instance(card(2 * half, 2 * half), Material(), pose=lambda time: Pose(turned((1, 0, 0), -np.pi / 2)))
 
 
-def rays(camera: np.ndarray, jitter: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+def rays(camera: np.ndarray, jitter: tuple[float, float], fov: float = FOV) -> tuple[np.ndarray, np.ndarray]:
     """World directions, of length 1 along the camera's axis, through all samples; and the samples in pixels."""
     height, width = SIZE
     y, x = np.mgrid[0:height, 0:width] + 0.5
     x, y = x + jitter[0], y + jitter[1]
-    tangent = np.tan(FOV / 2)
+    tangent = np.tan(fov / 2)
     local = np.stack(
         [(2 * x / width - 1) * tangent * width / height, (1 - 2 * y / height) * tangent, -np.ones_like(x)], -1
     )
     return local @ camera[:3, :3].T, np.stack([x, y])
 
 
-def seen_at(points: np.ndarray, camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def seen_at(points: np.ndarray, camera: np.ndarray, fov: float = FOV) -> tuple[np.ndarray, np.ndarray]:
     """Pixel positions and depths of world points."""
     height, width = SIZE
     local = (points - camera[:3, 3]) @ camera[:3, :3]
-    focal = height / 2 / np.tan(FOV / 2)
+    focal = height / 2 / np.tan(fov / 2)
     place = np.stack(
         [width / 2 - focal * local[..., 0] / local[..., 2], height / 2 + focal * local[..., 1] / local[..., 2]]
     )
@@ -470,40 +470,73 @@ def test_jitter_sequence():
     assert reference.jitter(33, 32) == reference.jitter(1, 32)
 
 
-def test_oracle_agrees_on_visibility_depth_and_motion():
-    """An independent ray tracer (Embree) on a turning knot, jittered, with a turning camera."""
-    trimesh = pytest.importorskip(
-        "trimesh", reason="the oracle needs trimesh and embreex: pip install 'framecast[dev]'"
-    )
-    torus = trimesh.creation.torus(0.8, 0.35, major_sections=40, minor_sections=20)
-    points, faces = np.asarray(torus.vertices), np.asarray(torus.faces)
-    mesh = Mesh(points, smooth_normals(points, faces.reshape(-1)), points[:, :2], faces.reshape(-1))
-    pose = lambda time: moved(0.2, 0, -3) @ turned((1, 2, 0.5), 0.15 * time)  # noqa: E731
-    camera = lambda time: moved(0.05 * time, 0, 0) @ turned((0, 0, 1), 0.04 * time**2)  # noqa: E731
-    jitter = (-0.3, 0.45)
-    frame = Renderer(world(Instance(mesh, Material(), 1, lambda t: Pose(pose(t))), camera=camera)).frame(
-        2.0, SIZE, jitter
-    )
-    directions, samples = rays(camera(2.0), jitter)
-    placed = trimesh.Trimesh(points @ pose(2.0)[:3, :3].T + pose(2.0)[:3, 3], faces, process=False)
-    origins = np.tile(camera(2.0)[:3, 3], (directions[..., 0].size, 1))
-    hits, ray, _ = RayMeshIntersector(placed).intersects_location(
+def corners(scene: Scene, time: float) -> np.ndarray:
+    """All triangles of a scene in world space, in the order of its instances: t 3 3."""
+    parts = []
+    for one in scene.instances:
+        pose = one.pose(time)
+        points = shape(one.mesh, pose).positions @ pose.matrix[:3, :3].T + pose.matrix[:3, 3]
+        parts.append(points[one.mesh.indices].reshape(-1, 3, 3))
+    return np.concatenate(parts)
+
+
+def assert_oracle_agrees(scene: Scene, time: float, jitter: tuple[float, float]) -> None:
+    """Visibility, depth and motion against rays that Embree traces through the scene's triangles."""
+    frame = Renderer(scene).frame(time, SIZE, jitter)
+    now, camera = corners(scene, time), scene.camera.at(time)
+    directions, samples = rays(camera, jitter, scene.camera.vertical_fov)
+    mesh = trimesh.Trimesh(now.reshape(-1, 3), np.arange(len(now) * 3).reshape(-1, 3), process=False)
+    origins = np.tile(camera[:3, 3], (samples[0].size, 1))
+    hits, ray, triangle = RayMeshIntersector(mesh).intersects_location(
         origins, directions.reshape(-1, 3), multiple_hits=False
     )
-    mask = np.zeros(SIZE, bool)
-    mask.reshape(-1)[ray] = True
-    assert (mask != (frame["object"][0] == 1)).sum() <= 3
-    both = np.zeros(SIZE, bool)
-    world_points = np.zeros((*SIZE, 3))
-    world_points.reshape(-1, 3)[ray] = hits
-    both = mask & (frame["object"][0] == 1)
-    _, depth = seen_at(world_points[both], camera(2.0))
-    np.testing.assert_allclose(frame["depth"][0][both], depth, rtol=2e-3)
+    seen = np.zeros(SIZE[0] * SIZE[1], bool)
+    seen[ray] = True
+    drawn = frame["depth"].reshape(-1) < SKY
+    assert seen.sum() > 100
+    assert (seen != drawn).sum() <= 4
+    keep = drawn[ray]
+    hits, ray, triangle = hits[keep], ray[keep], triangle[keep]
+    _, depth = seen_at(hits, camera, scene.camera.vertical_fov)
+    error = np.abs(frame["depth"].reshape(-1)[ray] / depth - 1)
+    assert np.quantile(error, 0.97) < 2e-3
+    weights = trimesh.triangles.points_to_barycentric(now[triangle], hits)
     for name, step in (("motion", -1), ("motion2", -2), ("motion_next", 1)):
-        carry = pose(2.0 + step) @ np.linalg.inv(pose(2.0))
-        there, _ = seen_at(world_points[both] @ carry[:3, :3].T + carry[:3, 3], camera(2.0 + step))
-        wrong = np.abs(frame[name][:, both] - (there - samples[:, both])).max(0)
-        assert np.quantile(wrong, 0.97) < 0.01
+        there = np.einsum("nk,nkc->nc", weights, corners(scene, time + step)[triangle])
+        place, _ = seen_at(there, scene.camera.at(time + step), scene.camera.vertical_fov)
+        expected = place - samples.reshape(2, -1)[:, ray]
+        assert np.quantile(np.abs(frame[name].reshape(2, -1)[:, ray] - expected).max(0), 0.95) < 0.02
+
+
+def test_oracle_agrees_on_things_that_turn_bend_and_swell():
+    """A rigid torus, a skinned strip bent by blended weights and a morphed ball, under a rolling camera."""
+    torus = trimesh.creation.torus(0.8, 0.35, major_sections=40, minor_sections=20)
+    points, faces = np.asarray(torus.vertices), np.asarray(torus.faces).reshape(-1)
+    knot = Mesh(points, smooth_normals(points, faces), points[:, :2], faces)
+    bent = strip()
+    along = np.clip(bent.positions[:, 0] / 2 + 0.5, 0, 1)
+    bent = replace(bent, weights=np.stack([1 - along, along, 0 * along, 0 * along], 1))
+    round_ = ball(0.5, 16)
+    swelling = replace(round_, morphs=round_.positions[None] * [0.5, 1.0, 0.2])
+    still, two_sided = moved(0.3, 0.9, -2.8), Material(double_sided=True)
+    joints = lambda time: np.stack([still, still @ turned((0, 1, 1), 0.2 * time)])  # noqa: E731
+    parts = (
+        Instance(knot, Material(), 1, lambda t: Pose(moved(0.2, -0.3, -3) @ turned((1, 2, 0.5), 0.15 * t))),
+        Instance(bent, two_sided, 2, lambda t: Pose(np.eye(4), joints(t))),
+        Instance(swelling, Material(), 3, lambda t: Pose(moved(-1, 0.9, -3), morph_weights=np.array([0.1 * t * t]))),
+    )
+    camera = lambda time: moved(0.05 * time, 0, 0) @ turned((0, 0, 1), 0.04 * time**2)  # noqa: E731
+    assert_oracle_agrees(world(*parts, camera=camera), 2.0, (-0.3, 0.45))
+
+
+def test_oracle_agrees_on_a_gltf_file(tmp_path: Path):
+    """A file without camera, through the loader: nodes nested, moved, turned and mirrored; the camera orbits."""
+    content = trimesh.Scene()
+    content.add_geometry(trimesh.creation.torus(0.8, 0.3), transform=moved(0.4, 1, 0) @ turned((1, 1, 0), 0.7))
+    content.add_geometry(trimesh.creation.icosphere(3, 0.6), transform=moved(-0.8, 0.6, 0.3) @ np.diag([-1.0, 1, 2, 1]))
+    path = tmp_path / "things.glb"
+    path.write_bytes(content.export(file_type="glb"))
+    assert_oracle_agrees(make.load(str(path)), 5.0, (0.2, -0.1))
 
 
 @pytest.fixture
