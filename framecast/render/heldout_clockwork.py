@@ -117,7 +117,7 @@ def train(rng: Generator, metals: tuple[Material, ...]) -> list[Instance]:
         place = move(x, y, depth)
         spin, begin = rate, angle
 
-        def pose(time: float, place=place, spin=spin, begin=begin) -> Pose:  # type: ignore[no-untyped-def]
+        def pose(time: float, place: ndarray = place, spin: float = spin, begin: float = begin) -> Pose:
             return Pose(place @ turn("z", begin + spin * time))
 
         instances.append(Instance(gear(teeth, radius, 0.045, 4 + k % 3), metals[k % 3], 10 + k, pose))
@@ -142,7 +142,7 @@ def hands(rng: Generator) -> list[Instance]:
         )
         place = move(0.72, 0.28, 0.212 + 0.009 * k)
 
-        def pose(time: float, place=place, rate=rate, begin=start[k]) -> Pose:  # type: ignore[no-untyped-def]
+        def pose(time: float, place: ndarray = place, rate: float = rate, begin: float = float(start[k])) -> Pose:
             return Pose(place @ turn("z", -begin - rate * time))
 
         instances.append(Instance(shape, look, 30 + k, pose))

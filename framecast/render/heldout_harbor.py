@@ -321,7 +321,9 @@ def gulls(rng: Generator, number: int) -> list[Instance]:
         start, way, beat = rng.uniform((-14, 2.6, -14), (14, 6.5, 3)), rng.uniform(0, 2 * np.pi), rng.uniform(0.55, 0.8)
         speed = rng.uniform(0.14, 0.26)
 
-        def pose(time: float, start=start, way=way, beat=beat, speed=speed) -> Pose:  # type: ignore[no-untyped-def]
+        def pose(
+            time: float, start: ndarray = start, way: float = way, beat: float = beat, speed: float = speed
+        ) -> Pose:
             gone = ((speed * time + 14) % 40) - 20
             place = (
                 move(*start)

@@ -1,7 +1,9 @@
 """Held-out scene: a garden with a mirroring pond. See docs/scenes.md."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -51,7 +53,7 @@ def pond(seed: int) -> Scene:
     autumn = [("c8402a", "d8702c"), ("5d8a3c", "88a83c"), ("d89a2c", "b8502a")][seed % 3]
     edge = rng.uniform(0, 6, 3)
 
-    def shore(angle: ndarray) -> ndarray:
+    def shore(angle: Any) -> Any:
         return (
             5.2
             + 0.7 * np.sin(2 * angle + edge[0])
@@ -59,7 +61,7 @@ def pond(seed: int) -> Scene:
             + 0.2 * np.sin(5 * angle + edge[2])
         )
 
-    def ground(x: ndarray, z: ndarray) -> ndarray:
+    def ground(x: Any, z: Any) -> Any:
         away = np.hypot(x, z + 3) - shore(np.arctan2(z + 3, x))
         return (
             np.clip(0.35 * np.tanh(away * 1.2), -0.5, 0.4)
@@ -76,7 +78,7 @@ def pond(seed: int) -> Scene:
     rock = concrete(rng, rgb("8d8f8a"))
     for k in range(26):
         a = rng.uniform(0, 2 * np.pi)
-        r = float(shore(np.array(a))) + rng.uniform(-0.25, 0.3)
+        r = float(shore(a)) + rng.uniform(-0.25, 0.3)
         parts.append(
             (
                 placed(stone(rng, rng.uniform(0.2, 0.6)), move(r * np.cos(a), 0.05, r * np.sin(a) - 3), turn("y", k)),
@@ -165,7 +167,7 @@ def pavilion(rng: Generator, paint: Material) -> Parts:
     return [(placed(mesh, place), material) for mesh, material in parts]
 
 
-def maples(rng: Generator, ground, colours: tuple[str, str], number: int) -> list[Instance]:  # type: ignore[no-untyped-def]
+def maples(rng: Generator, ground: Callable[[Any, Any], Any], colours: tuple[str, str], number: int) -> list[Instance]:
     """Trees of layered star-leaved clouds; the clouds rock, the trunks stand."""
     leaf = [star_leaves(rng, rgb(c)) for c in colours]
     clouds = [cloud_crown(rng, rng.normal(0, 1, (5, 3)) * (0.8, 0.3, 0.8), 0.75, 46, 0.30) for _ in range(3)]
@@ -192,7 +194,7 @@ def maples(rng: Generator, ground, colours: tuple[str, str], number: int) -> lis
     ]
     for k, (x, z) in enumerate(spots):
         x, z = x + rng.uniform(-0.5, 0.5), z + rng.uniform(-0.5, 0.5)
-        place = move(x, float(ground(np.array(x), np.array(z))) - 0.1, z)
+        place = move(x, float(ground(x, z)) - 0.1, z)
         tall = rng.uniform(2.0, 3.2)
         trunk, top = stem(rng, tall, 0.16, rng.uniform(0.2, 0.7))
         trunks.append(placed(trunk, place))

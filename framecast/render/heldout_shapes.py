@@ -5,6 +5,7 @@ training scenes have their own file and share none of these functions.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -79,7 +80,7 @@ def pillar(stations: Numbers, sides: int = 24, tile: float = 1.0, crease: float 
 def pillow(x: float, y: float, z: float, power: float = 0.5, steps: int = 24) -> Mesh:
     """A superellipsoid of the given half sizes: power 1 is an ellipsoid, towards 0 a box with round edges."""
 
-    def bend(value: ndarray) -> ndarray:
+    def bend(value: Any) -> Any:
         return np.sign(value) * np.abs(value) ** power
 
     latitude = np.linspace(-np.pi / 2, np.pi / 2, steps // 2 + 1)[1:-1]

@@ -31,7 +31,8 @@ def shaded(
     triangles, face, size = triangles[keep], face[keep], size[keep]
     corner = triangles.reshape(-1)
     weld = unique_rows(np.round(positions / (extent * 1e-6)).astype(np.int64))[1][corner]
-    normals = crease_normals(weld, np.repeat(face, 3, axis=0), np.repeat(face / size[:, None], 3, axis=0), crease)
+    weighted = (face[:, None] * corner_angles(positions[triangles])[..., None]).reshape(-1, 3)
+    normals = crease_normals(weld, weighted, np.repeat(face / size[:, None], 3, axis=0), crease)
     key = np.column_stack([corner, np.round(normals * 1000)]).astype(np.int64)
     first, inverse = unique_rows(key)
     return Mesh(
@@ -40,6 +41,17 @@ def shaded(
         uvs=uvs[corner[first]].astype(np.float32),
         indices=inverse.astype(np.uint32),
     )
+
+
+def corner_angles(corners: Float[ndarray, "t 3 3"]) -> Float[ndarray, "t 3"]:
+    """Angle of each triangle at each of its corners, radians.
+
+    As weights, with the area, they make normals independent of which way quads are cut in two.
+    """
+    ahead, behind = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    cosine = np.einsum("tkc,tkc->tk", ahead, behind)
+    length = np.linalg.norm(ahead, axis=2) * np.linalg.norm(behind, axis=2)
+    return np.arccos(np.clip(cosine / np.maximum(length, 1e-30), -1, 1))
 
 
 def unique_rows(rows: Int[ndarray, "n k"]) -> tuple[Int[ndarray, " u"], Int[ndarray, " n"]]:
@@ -55,7 +67,7 @@ def unique_rows(rows: Int[ndarray, "n k"]) -> tuple[Int[ndarray, " u"], Int[ndar
 def crease_normals(
     weld: Int[ndarray, " n"], weighted: Float[ndarray, "n 3"], unit: Float[ndarray, "n 3"], crease: float
 ) -> Float[ndarray, "n 3"]:
-    """Unit normal per corner: the area-weighted sum over corners of the same `weld` whose faces meet within
+    """Unit normal per corner: the sum of `weighted` over corners of the same `weld` whose faces meet within
     `crease`.
     """
     order = np.argsort(weld, kind="stable")

@@ -1,5 +1,8 @@
 """Training scene: a walk through a sunlit wood, everything alpha-tested and moving. See docs/scenes.md."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -14,6 +17,11 @@ from framecast.render.train_plants import branches, fern, grass, leaf_cards, swa
 from framecast.render.train_shapes import ball, terrain, tube
 from framecast.render.train_textures import bark, clouds_over, frond, leaf_cluster, leaf_litter, plaster
 
+Ground = Callable[[Any, Any], Any]
+"""Height of the ground at x, z: numbers or arrays."""
+Path = Callable[[Any], Any]
+"""The x of the path's middle at z."""
+
 
 def forest(seed: int) -> Scene:
     """A path between trees: swaying crowns, ferns and grass, falling leaves, hand-held walk,
@@ -23,7 +31,7 @@ def forest(seed: int) -> Scene:
     ridges = rng.uniform(0, 6, 4)
     season = rgb([("5d7f33"), ("b5762a"), ("7f9440"), ("4f7a3c")][seed % 4])
 
-    def height(x: ndarray, z: ndarray) -> ndarray:
+    def height(x: Any, z: Any) -> Any:
         bumps = (
             0.35 * np.sin(0.35 * x + ridges[0])
             + 0.3 * np.sin(0.31 * z + 0.2 * x + ridges[1])
@@ -33,7 +41,7 @@ def forest(seed: int) -> Scene:
         far = np.clip(np.abs(x) - 7, 0, None) ** 2 * 0.03 + np.clip(-z - 22, 0, None) ** 2 * 0.02
         return bumps * away + 0.9 * away**2 - 0.05 + far
 
-    def bend(z: ndarray) -> ndarray:
+    def bend(z: Any) -> Any:
         return 0.9 * np.sin(0.22 * z + ridges[2]) - 0.9 * np.sin(ridges[2])
 
     floor = terrain((-24, 24), (-42, 8), (80, 90), height, 2.2)
@@ -43,14 +51,12 @@ def forest(seed: int) -> Scene:
     instances += falling_leaves(rng, season)
     log = tube([(-0.6, 0, 0), (1.2, 0.04, 0.1), (3.2, 0, 0)], [0.26, 0.24, 0.2], 16, 0.7)
     instances.append(
-        Instance(
-            placed(log, move(float(bend(np.array(-7.0))) + 1.5, 0.28, -7.2), turn("y", 0.5)), bark(rng, rgb("6f6250"))
-        )
+        Instance(placed(log, move(float(bend(-7.0)) + 1.5, 0.28, -7.2), turn("y", 0.5)), bark(rng, rgb("6f6250")))
     )
     stones = [
         placed(
             ball(1.0, 20, 0.5),
-            move(x, float(height(np.array(x), np.array(z))), z),
+            move(x, float(height(x, z)), z),
             turn("y", x),
             scale(r, 0.6 * r, 0.8 * r),
         )
@@ -62,8 +68,8 @@ def forest(seed: int) -> Scene:
 
     def camera(time: float) -> ndarray:
         z = 4.0 - 0.037 * time
-        eye = np.array([float(bend(np.array(z))), 1.62 + 0.03 * np.sin(0.42 * time), z])
-        ahead = np.array([float(bend(np.array(z - 5))), 1.55, z - 5])
+        eye = np.array([float(bend(z)), 1.62 + 0.03 * np.sin(0.42 * time), z])
+        ahead = np.array([float(bend(z - 5)), 1.55, z - 5])
         return handheld(aim(eye, ahead), seed, time, 0.014, 0.015)
 
     return Scene(
@@ -78,7 +84,7 @@ def forest(seed: int) -> Scene:
     )
 
 
-def trees(rng: Generator, height, bend, season: Float[ndarray, "3"]) -> list[Instance]:  # type: ignore[no-untyped-def]
+def trees(rng: Generator, height: Ground, bend: Path, season: Float[ndarray, "3"]) -> list[Instance]:
     """Three kinds of tree repeated along the path, each at its own size, turn and wind.
 
     The crowns of the six nearest bend (shape keys); those behind rock on their trunks, which costs nothing.
@@ -95,14 +101,8 @@ def trees(rng: Generator, height, bend, season: Float[ndarray, "3"]) -> list[Ins
     instances, wood_parts = [], []
     for k in range(44):
         z = 3.5 - 42 * (k / 44) ** 1.1 + rng.uniform(-0.6, 0.6)
-        x = float(bend(np.array(z))) + (1 if k % 2 else -1) * (
-            rng.uniform(1.9, 4.0) + 9 * rng.random() ** 1.5 * (k > 5)
-        )
-        place = (
-            move(x, float(height(np.array(x), np.array(z))) - 0.1, z)
-            @ turn("y", rng.uniform(0, 6))
-            @ scale(rng.uniform(0.8, 1.25))
-        )
+        x = float(bend(z)) + (1 if k % 2 else -1) * (rng.uniform(1.9, 4.0) + 9 * rng.random() ** 1.5 * (k > 5))
+        place = move(x, float(height(x, z)) - 0.1, z) @ turn("y", rng.uniform(0, 6)) @ scale(rng.uniform(0.8, 1.25))
         wood, crown = kinds[k % 3 + (3 if k > 14 else 0)]
         wood_parts.append(placed(wood, place))
         phase = rng.uniform(0, 6)
@@ -120,7 +120,7 @@ def trees(rng: Generator, height, bend, season: Float[ndarray, "3"]) -> list[Ins
     return [Instance(join(wood_parts), trunk), *instances]
 
 
-def undergrowth(rng: Generator, height, bend, season: Float[ndarray, "3"]) -> list[Instance]:  # type: ignore[no-untyped-def]
+def undergrowth(rng: Generator, height: Ground, bend: Path, season: Float[ndarray, "3"]) -> list[Instance]:
     """Ferns and grass beside the path, swaying; blades are single triangles."""
 
     def spots(count: int, near: float, far: float) -> Float[ndarray, "k 3"]:
@@ -146,7 +146,7 @@ def undergrowth(rng: Generator, height, bend, season: Float[ndarray, "3"]) -> li
     return [Instance(mesh, look, 60 + k, pose) for k, (mesh, look) in enumerate(zip(sway, looks, strict=True))]
 
 
-def lifted(mesh: Mesh, height, amount: float) -> Mesh:  # type: ignore[no-untyped-def]
+def lifted(mesh: Mesh, height: Ground, amount: float) -> Mesh:
     """Sway keys that grow with the height above the ground, so that the feet of plants stay."""
     p = mesh.positions.astype(np.float64)
     above = np.clip(p[:, 1] - height(p[:, 0], p[:, 2]), 0, None)
@@ -177,7 +177,14 @@ def falling_leaves(rng: Generator, season: Float[ndarray, "3"]) -> list[Instance
         start, drift, axis = rng.uniform((-2.5, 0, -6), (2.5, 6, 2)), rng.uniform(-0.012, 0.012, 2), rng.normal(0, 1, 3)
         fall, spin = rng.uniform(0.022, 0.04), rng.uniform(0.12, 0.4)
 
-        def pose(time: float, start=start, drift=drift, axis=axis, fall=fall, spin=spin) -> Pose:  # type: ignore[no-untyped-def]
+        def pose(
+            time: float,
+            start: ndarray = start,
+            drift: ndarray = drift,
+            axis: ndarray = axis,
+            fall: float = fall,
+            spin: float = spin,
+        ) -> Pose:
             y = (start[1] - fall * time) % 6.0
             flutter = 0.2 * np.sin(0.15 * time + 6 * start[0])
             return Pose(

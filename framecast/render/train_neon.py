@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray
 from numpy.random import Generator
 
@@ -25,7 +24,6 @@ from framecast.render.train_textures import (
 )
 
 Parts = list[tuple[Mesh, Material]]
-Drive = Callable[[float], tuple[Float[ndarray, "4 4"], float]]
 
 
 def neon(seed: int) -> Scene:

@@ -1,5 +1,7 @@
 """Things that training scenes are furnished with: vehicles, lamps, benches, shelves, each as (mesh, material) parts."""
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -12,6 +14,8 @@ from framecast.render.scene import Instance, Material, Mesh, Pose
 from framecast.render.train_shapes import ball, box, cylinder, lathe, tube, wheel
 
 Parts = list[tuple[Mesh, Material]]
+Drive = Callable[[float], tuple[Float[ndarray, "4 4"], float]]
+"""Where a vehicle is at a time, and the metres it has driven."""
 
 
 def at(place: Float[ndarray, "4 4"], parts: Parts) -> Parts:
@@ -57,14 +61,16 @@ def tapered(x: float, y: float, z: float, inset: float) -> Mesh:
     return Mesh(points, mesh.normals, mesh.uvs, mesh.indices)
 
 
-def rolling(parts: Parts, number: int, path, radius: float, axles: tuple[float, ...], track: float) -> list[Instance]:  # type: ignore[no-untyped-def]
+def rolling(
+    parts: Parts, number: int, path: Drive, radius: float, axles: tuple[float, ...], track: float
+) -> list[Instance]:
     """A vehicle on turning wheels as instances of one object; `path(time)` gives its place and the metres driven."""
     bodies = [Instance(i.mesh, i.material, number, lambda time: Pose(path(time)[0])) for i in standing(parts)]
     one = placed(wheel(radius, 0.2, 10), turn("y", np.pi / 2))
     both = join([placed(one, move(0, 0, -track - 0.03)), placed(one, move(0, 0, track + 0.03))])
     rubber = plain(rgb("3a3b3d"), 0.45, 0.3)
 
-    def spin(axle: float):  # type: ignore[no-untyped-def]
+    def spin(axle: float) -> Callable[[float], Pose]:
         return lambda time: Pose(path(time)[0] @ move(axle, radius, 0) @ turn("z", -path(time)[1] / radius))
 
     return bodies + [Instance(both, rubber, number, spin(axle)) for axle in axles]

@@ -1,5 +1,7 @@
 """Training scenes indoors: a workshop under a swinging lamp, a gallery with a polished floor. See docs/scenes.md."""
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -330,7 +332,7 @@ def gallery(seed: int) -> Scene:
     )
 
 
-def aimed(position: tuple[float, float, float], target: tuple[float, float, float]):  # type: ignore[no-untyped-def]
+def aimed(position: tuple[float, float, float], target: tuple[float, float, float]) -> Callable[[float], LightPose]:
     """A light that stands still and points at the target."""
     pose = LightPose(np.array(position), unit(np.array(target) - position))
     return lambda time: pose

@@ -18,18 +18,19 @@ from framecast.render.skies import directions
 def lattice_noise(rng: Generator, size: int, cells: tuple[int, int]) -> Float[ndarray, "h w"]:
     """Gradient noise that tiles, about -0.7..0.7, with `cells` (down, across) lattice cells."""
     angle = rng.uniform(0, 2 * np.pi, cells).astype(np.float32)
-    down, across = np.sin(angle), np.cos(angle)
-    y, x = ((np.arange(size) / size * count).astype(np.float32) for count in cells)
-    row, column = y.astype(int), x.astype(int)
-    fy, fx = (y - row)[:, None], (x - column)[None]
-    corners = []
-    for dy in (0, 1):
-        for dx in (0, 1):
-            r, c = (row + dy) % cells[0], (column + dx) % cells[1]
-            corners.append(across[r].take(c, 1) * (fx - dx) + down[r].take(c, 1) * (fy - dy))
-    ty, tx = (t * t * t * (t * (6 * t - 15) + 10) for t in (fy, fx))
-    top, bottom = corners[0] * (1 - tx) + corners[1] * tx, corners[2] * (1 - tx) + corners[3] * tx
-    return top * (1 - ty) + bottom * ty
+    (y, row), (x, column) = ((p - p.astype(int), p.astype(int)) for p in (axis(size, count) for count in cells))
+    tx, ty = (t * t * t * (t * (6 * t - 15) + 10) for t in (x, y[:, None]))
+    # Along x first, for whole lattice rows: each row's own slope in x, and the slope in y that it brings along.
+    left, right = angle[:, column], np.roll(angle, -1, 1)[:, column]
+    own = np.cos(left) * x * (1 - tx) + np.cos(right) * (x - 1) * tx
+    down = np.sin(left) * (1 - tx) + np.sin(right) * tx
+    below = (row + 1) % cells[0]
+    return (own[row] + down[row] * y[:, None]) * (1 - ty) + (own[below] + down[below] * (y[:, None] - 1)) * ty
+
+
+def axis(size: int, cells: int) -> Float[ndarray, " n"]:
+    """Pixel corners in lattice steps."""
+    return (np.arange(size) / size * cells).astype(np.float32)
 
 
 def clouds(rng: Generator, size: int, cells: int = 4, octaves: int = 5, stretch: int = 1) -> Float[ndarray, "h w"]:
@@ -194,11 +195,11 @@ def roof_tiles(rng: Generator, colour: Numbers, size: int = 512) -> Material:
     return textured(albedo, round_ * 0.7 + lip * 0.3, 14, 0.85)
 
 
-def canvas_painting(rng: Generator, palette: Float[ndarray, "k 3"], size: int = 512) -> Material:
+def canvas_painting(rng: Generator, palette: Float[ndarray, "k 3"], size: int = 400) -> Material:
     """An abstract painting: flat shapes in a grid of brush strokes and hard fine lines, for high frequencies."""
     x, y = pixel_grid(size)
     albedo = np.ones((size, size, 3)) * palette[0]
-    for _ in range(26):
+    for _ in range(20):
         cx, cy, wide, tall, lean = rng.uniform((0, 0, 0.03, 0.03, -1.5), (1, 1, 0.35, 0.35, 1.5))
         u, v = (x - cx) * np.cos(lean) + (y - cy) * np.sin(lean), (y - cy) * np.cos(lean) - (x - cx) * np.sin(lean)
         kind = rng.integers(3)

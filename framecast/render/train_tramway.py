@@ -1,6 +1,5 @@
 """Training scene: a tram and cars cross a street by day. See docs/scenes.md."""
 
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +14,7 @@ from framecast.render.scene import Camera, Instance, Light, LightPose, Material,
 from framecast.render.skies import dome, sun_travel
 from framecast.render.train_character import walker
 from framecast.render.train_plants import branches, leaf_cards, swaying, wind
-from framecast.render.train_props import at, bench, car, rolling, tram
+from framecast.render.train_props import Drive, at, bench, car, rolling, tram
 from framecast.render.train_shapes import box, cylinder, gable, level, railing, tube, wire
 from framecast.render.train_textures import (
     asphalt,
@@ -30,7 +29,6 @@ from framecast.render.train_textures import (
 )
 
 Parts = list[tuple[Mesh, Material]]
-Drive = Callable[[float], tuple[Float[ndarray, "4 4"], float]]
 
 
 def straight(x: float, z: float, speed: float, start: float) -> Drive:
