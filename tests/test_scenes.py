@@ -18,7 +18,7 @@ from framecast.render.heldout_shapes import block, loft, pillow
 from framecast.render.heldout_textures import cells, spectral
 from framecast.render.motion import aim, along, move, scale, turn
 from framecast.render.scene import Instance, Mesh, Scene
-from framecast.render.scenes import SCENES
+from framecast.render.scenes import SCENES, TEST, TRAIN
 from framecast.render.skies import directions, dome, sun_travel
 from framecast.render.train_character import JOINTS, ORDER, walk_joints
 from framecast.render.train_shapes import ball, box, tube
@@ -98,6 +98,8 @@ def test_no_texture_image_and_no_mesh_occurs_in_both_splits() -> None:
 def test_there_are_six_training_and_four_held_out_scenes_and_both_hold_what_breaks_methods() -> None:
     """Skins, shape keys, leaves, mirrors, moving lamps and suns, cuts: in both splits, to be trained and tested."""
     scenes = [built(name) for name in SCENES]
+    assert tuple(scene.name for scene in scenes if scene.split == "train") == TRAIN
+    assert tuple(scene.name for scene in scenes if scene.split == "test") == TEST
     assert sum(scene.split == "train" for scene in scenes) >= 6
     assert sum(scene.split == "test" for scene in scenes) >= 4
     for split in ("train", "test"):

@@ -30,7 +30,7 @@ Parts = list[tuple[Mesh, Material]]
 
 
 def clockwork(seed: int) -> Scene:
-    """Brass wheels, a balance and a pendulum seen close, lit by a lamp that moves; a cut to the dial and back."""
+    """Meshing wheels, a pendulum and a dial seen close, lit by a lamp that moves; two cuts."""
     rng = np.random.default_rng([seed, 13])
     brass, copper, steel = (spun_metal(rng, rgb(c)) for c in ("e0b458", "d08a5a", "c9ccd0"))
     wood = figured_wood(rng, rgb(["7a4a2c", "5d3a28", "8a5c34"][seed % 3]))

@@ -38,9 +38,7 @@ Parts = list[tuple[Mesh, Material]]
 
 
 def hangar(seed: int) -> Scene:
-    """A still camera: a four-legged robot walks past a plane whose propeller turns, on a mirroring floor,
-    in a sweeping light.
-    """
+    """A still camera: a four-legged robot, a propeller, a drone, a mirroring floor, a sweeping light."""
     rng = np.random.default_rng([seed, 12])
     floor = Instance(
         placed(sheet(26, 20, 1, None, 6.5), move(0, 0, -4)),

@@ -28,9 +28,7 @@ Parts = list[tuple[Mesh, Material]]
 
 
 def harbor(seed: int) -> Scene:
-    """Boats rock on a deforming sea under a setting sun;
-    cordage one pixel wide, gulls cross fast, a lighthouse turns.
-    """
+    """Boats rock on a deforming sea at sunset: thin cordage, gulls cross fast, a lighthouse turns, an orbit."""
     rng = np.random.default_rng([seed, 11])
     paving, wall = flagstones(rng, rgb("a89c88")), concrete(rng, rgb("8f8b84"))
     planks = decking(rng, rgb("8a6a4a"))

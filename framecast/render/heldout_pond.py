@@ -46,9 +46,7 @@ Parts = list[tuple[Mesh, Material]]
 
 
 def pond(seed: int) -> Scene:
-    """A garden round still water: a bridge, a pavilion with lanterns, star-leaved trees,
-    carp streamers that writhe on a pole.
-    """
+    """A garden round still water: a bridge, lanterns, star-leaved trees, carp streamers, a hand-held camera."""
     rng = np.random.default_rng([seed, 15])
     autumn = [("c8402a", "d8702c"), ("5d8a3c", "88a83c"), ("d89a2c", "b8502a")][seed % 3]
     edge = rng.uniform(0, 6, 3)

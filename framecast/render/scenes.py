@@ -32,3 +32,7 @@ SCENES: dict[str, Callable[[int], Scene]] = {
     "clockwork": clockwork,
     "pond": pond,
 }
+
+TRAIN = ("courtyard", "workshop", "gallery", "tramway", "neon", "forest")
+TEST = ("harbor", "greenhouse", "hangar", "clockwork", "pond")
+"""The split; the same as each scene's own `split`, without building it."""

@@ -24,9 +24,7 @@ Path = Callable[[Any], Any]
 
 
 def forest(seed: int) -> Scene:
-    """A path between trees: swaying crowns, ferns and grass, falling leaves, hand-held walk,
-    low light through leaves.
-    """
+    """A path through a wood: swaying crowns, ferns, grass, falling leaves, light through leaves, a hand-held walk."""
     rng = np.random.default_rng([seed, 6])
     ridges = rng.uniform(0, 6, 4)
     season = rgb([("5d7f33"), ("b5762a"), ("7f9440"), ("4f7a3c")][seed % 4])

@@ -27,9 +27,7 @@ Parts = list[tuple[Mesh, Material]]
 
 
 def neon(seed: int) -> Scene:
-    """Night and rain just over: signs, lit windows and lamps mirrored in the road, headlights sweep past,
-    exposure adapts.
-    """
+    """Night after rain: signs, lit windows and lamps mirrored in the road, headlights sweep, exposure adapts."""
     rng = np.random.default_rng([seed, 5])
     road = Instance(placed(level(9, 70, 4.0), move(0, 0, -25)), asphalt(rng, wet=1.0), mirror=0)
     pavement, kerb = cobbles(rng, rgb("6d6c70")), plaster(rng, rgb("77767a"), 0.6)
