@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 EMPTY = 0x7F800000 << 32
@@ -63,7 +63,7 @@ def _at(plane: Tensor, index: Tensor) -> Tensor:
     return plane.reshape(-1)[index]
 
 
-def pick(image: Float[Tensor, "b c h w"], index: Int[Tensor, "b h w"]) -> Float[Tensor, "b c h w"]:
+def pick(image: Shaped[Tensor, "b c h w"], index: Int[Tensor, "b h w"]) -> Shaped[Tensor, "b c h w"]:
     """Pixels of `image` at linear indices row * w + column, which must be inside."""
     return torch.stack([_at(plane, index) for plane in image.unbind(1)], 1)
 
@@ -76,7 +76,7 @@ def landing(motion: Float[Tensor, "b 2 h w"]) -> Int[Tensor, "b h w"]:
     return (row * width + column).to(torch.int32)
 
 
-def fetch(image: Float[Tensor, "b c h w"], motion: Float[Tensor, "b 2 h w"]) -> Float[Tensor, "b c h w"]:
+def fetch(image: Shaped[Tensor, "b c h w"], motion: Float[Tensor, "b 2 h w"]) -> Shaped[Tensor, "b c h w"]:
     """Like `warp`, but the one pixel that contains the position: values are never mixed."""
     return pick(image, landing(motion))
 
@@ -101,7 +101,9 @@ def scale_motion(motion: Float[Tensor, "b 2 h w"], scale: float) -> Float[Tensor
 
 
 def chain(
-    motions: Sequence[Float[Tensor, "b 2 h w"]], depths: Sequence[Float[Tensor, "b 1 h w"]] | None = None
+    motions: Sequence[Float[Tensor, "b 2 h w"]],
+    depths: Sequence[Float[Tensor, "b 1 h w"]] | None = None,
+    spans: Sequence[Float[Tensor, " b"]] | None = None,
 ) -> Float[Tensor, "b 2 h w"]:
     """Motion over several frames from the motion of each: acc(p) = m0(p) + m1(p + m0(p)) + ...
 
@@ -111,16 +113,23 @@ def chain(
 
     With `depths`, of the same frames, the vector read belongs to the same surface: the pixel of the 3 x 3 around the
     position whose depth is closest to the surface's own. Where even that one differs by more than a tenth, the surface
-    was hidden in between, and keeps the velocity it had.
+    was hidden in between, and keeps the velocity it had (`spans`: the times that the motions reach, by default
+    equal).
     """
     total = motions[0]
     for k in range(1, len(motions)):
         step = fetch(motions[k], total)
         if depths is not None:
             index, misfit = _same_surface(depths[0], depths[k], total)
-            step = torch.where(misfit < 0.1, pick(motions[k], index), total / k)
+            velocity = total / (k if spans is None else _images(torch.stack(list(spans[:k])).sum(0).clamp(min=1e-6)))
+            kept = velocity if spans is None else velocity * _images(spans[k])
+            step = torch.where(misfit < 0.1, pick(motions[k], index), kept)
         total = total + step
     return total
+
+
+def _images(values: Float[Tensor, " b"]) -> Float[Tensor, "b 1 1 1"]:
+    return values[:, None, None, None]
 
 
 def _same_surface(
@@ -198,10 +207,14 @@ def nearest_neighbour(depth: Float[Tensor, "b 1 h w"]) -> Int[Tensor, "b h w"]:
     height, width = depth.shape[-2:]
     source = torch.arange(height * width, device=depth.device).view(height, width)
     keys = (depth[:, 0].contiguous().view(torch.int32).long() << 32) | source
+    return (nearest_key(keys) & 0xFFFFFFFF).to(torch.int32)
+
+
+def nearest_key(keys: Int[Tensor, "b h w"]) -> Int[Tensor, "b h w"]:
+    """The smallest of the keys (see `splat`) in each pixel's 3 x 3 neighbourhood; beyond the border all are EMPTY."""
     keys = F.pad(keys, (1, 1, 1, 1), value=float(EMPTY))
     row = torch.minimum(torch.minimum(keys[:, :, :-2], keys[:, :, 1:-1]), keys[:, :, 2:])
-    best = torch.minimum(torch.minimum(row[:, :-2], row[:, 1:-1]), row[:, 2:])
-    return (best & 0xFFFFFFFF).to(torch.int32)
+    return torch.minimum(torch.minimum(row[:, :-2], row[:, 1:-1]), row[:, 2:])
 
 
 def disoccluded(

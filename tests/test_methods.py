@@ -2,6 +2,7 @@
 
 import copy
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +12,7 @@ from conftest import disc_frame
 from torch import nn
 from torch.utils._pytree import tree_leaves
 
-from framecast.frame import BUFFERS, Frame, concatenate, moment, perspective
+from framecast.frame import BUFFERS, Frame, concatenate, moment, perspective, unshaded
 from framecast.methods import METHODS
 
 OPTIONAL = {"motion_next"}
@@ -44,6 +45,20 @@ def full(time: float, *, height: int = 32, width: int = 48, first: bool = False)
     )
 
 
+def still(time: float) -> Frame:
+    """The scene as it is at 0, standing still."""
+    frame = full(0)
+    assert frame.motion is not None
+    zero = torch.zeros_like(frame.motion)
+    reset = torch.tensor([time == 0])
+    return replace(frame, motion=zero, motion_next=zero, time=torch.tensor([time]), reset=reset)
+
+
+def request(method: nn.Module, time: float, scene: Callable[[float], Frame] = full) -> Frame:
+    """A frame to generate: its time alone, or what the scene shows then where the method needs G-buffers."""
+    return unshaded(scene(time)) if method.needs_generated else moment(time)
+
+
 def shaded(start: float = 0, **size: int) -> list[Frame]:
     """Three shaded frames, two apart."""
     return [full(start + t, first=t == 0, **size) for t in (0, 2, 4)]
@@ -63,10 +78,10 @@ def times(method: nn.Module) -> list[float]:
     return between + ([4.3, 5.0, 6.0] if "extrapolate" in method.modes else [])
 
 
-def generated(method: nn.Module, frames: list[Frame]) -> list[torch.Tensor]:
+def generated(method: nn.Module, frames: list[Frame], scene: Callable[[float], Frame] = full) -> list[torch.Tensor]:
     """The images at all `times` after the frames, which start at 0."""
     state = fed(method, frames)
-    return [method(moment(t), state)[0] for t in times(method)]
+    return [method(request(method, t, scene), state)[0] for t in times(method)]
 
 
 def test_documented_and_declared(name: str) -> None:
@@ -84,7 +99,8 @@ def test_documented_and_declared(name: str) -> None:
 @pytest.mark.parametrize(("height", "width"), [(32, 48), (33, 47), (5, 9)])
 def test_images_of_the_same_size_finite_and_not_negative(name: str, height: int, width: int) -> None:
     method = METHODS[name]()
-    images = generated(method, shaded(height=height, width=width))
+    size = {"height": height, "width": width}
+    images = generated(method, shaded(**size), lambda t: full(t, **size))
     assert images
     for image in images:
         assert image.shape == (1, 3, height, width)
@@ -110,7 +126,7 @@ def test_a_batch_of_two_is_two_batches_of_one(name: str) -> None:
     states = [fed(method, clip) for clip in (one, two)]
     both = fed(method, [concatenate(pair) for pair in zip(one, two, strict=True)])
     for t in times(method):
-        requests = [moment(t), moment(t + 1)]
+        requests = [request(method, t), request(method, t + 1)]
         apart = [method(f, s)[0] for f, s in zip(requests, states, strict=True)]
         together, _ = method(concatenate(requests), both)
         torch.testing.assert_close(together, torch.cat(apart), atol=1e-5, rtol=1e-5)
@@ -122,12 +138,12 @@ def test_a_reset_is_a_fresh_start(name: str) -> None:
     cut = fed(method, [full(7, first=True), full(9), *after[:1]])
     fresh = fed(method, after[:1])
     for t in (0.5, 2.0):
-        assert torch.equal(method(moment(t), cut)[0], method(moment(t), fresh)[0])
+        assert torch.equal(*(method(request(method, t), state)[0] for state in (cut, fresh)))
     for frame in after[1:]:
         _, cut = method(frame, cut)
         _, fresh = method(frame, fresh)
         for t in (frame.time.item() - 0.5, frame.time.item() + 0.5):
-            assert torch.equal(method(moment(t), cut)[0], method(moment(t), fresh)[0])
+            assert torch.equal(*(method(request(method, t), state)[0] for state in (cut, fresh)))
 
 
 def test_right_after_a_reset_the_image_is_a_picture_of_the_scene(name: str) -> None:
@@ -137,7 +153,7 @@ def test_right_after_a_reset_the_image_is_a_picture_of_the_scene(name: str) -> N
     assert first.motion is not None
     wild = replace(first, motion=torch.full_like(first.motion, 13.0), motion_next=None)
     state = fed(method, [full(-4, first=True), wild])
-    image, _ = method(moment(1.0), state)
+    image, _ = method(request(method, 1.0, still), state)
     torch.testing.assert_close(image, first.color, atol=1e-3, rtol=0)
 
 
@@ -145,7 +161,7 @@ def test_frame_and_state_stay_as_they_were(name: str) -> None:
     method = METHODS[name]()
     frames = shaded()
     state = fed(method, frames[:2])
-    for frame in (frames[2], *map(moment, times(method))):
+    for frame in (frames[2], *(request(method, t) for t in times(method))):
         before = copy.deepcopy((frame, state))
         method(frame, state)
         for was, now in zip(tree_leaves(before), tree_leaves((frame, state)), strict=True):
@@ -158,9 +174,9 @@ def test_generating_does_not_change_what_comes_after(name: str) -> None:
     state = method.start(frames[0])
     for frame in frames:
         _, state = method(frame, state)
-        _, state = method(moment(frame.time.item() + 1), state)
+        _, state = method(request(method, frame.time.item() + 1), state)
     for t, image in zip(times(method), generated(method, frames), strict=True):
-        assert torch.equal(method(moment(t), state)[0], image)
+        assert torch.equal(method(request(method, t), state)[0], image)
 
 
 def test_the_same_on_every_run(name: str) -> None:
@@ -170,37 +186,37 @@ def test_the_same_on_every_run(name: str) -> None:
 
 def test_what_stands_still_stays(name: str) -> None:
     method = METHODS[name]()
-    still = full(0)
-    assert still.motion is not None
-    zero = torch.zeros_like(still.motion)
-    frames = [
-        replace(still, motion=zero, motion_next=zero, time=torch.tensor([t]), reset=torch.tensor([t == 0]))
-        for t in (0.0, 2.0, 4.0)
-    ]
-    for image in generated(method, frames):
-        torch.testing.assert_close(image, still.color, atol=1e-3, rtol=0)
+    for image in generated(method, [still(t) for t in (0.0, 2.0, 4.0)], still):
+        torch.testing.assert_close(image, full(0).color, atol=1e-3, rtol=0)
 
 
 def test_what_is_not_needed_changes_nothing(name: str) -> None:
     method = METHODS[name]()
     frames = shaded()
-    spare = {field: None for field in EVERYTHING if field not in {*method.needs, *OPTIONAL}}
+    spare = dict.fromkeys(set(EVERYTHING) - {*method.needs, *OPTIONAL})
+    unasked = dict.fromkeys(set(EVERYTHING) - {*method.needs_generated, *OPTIONAL})
     expected = generated(method, frames)
-    for image, other in zip(expected, generated(method, [replace(f, **spare) for f in frames]), strict=True):
+    bare = generated(method, [replace(f, **spare) for f in frames], lambda t: replace(full(t), **unasked))
+    for image, other in zip(expected, bare, strict=True):
         assert torch.equal(image, other)
 
 
 def test_works_without_optional_buffers(name: str) -> None:
     method = METHODS[name]()
-    frames = [replace(f, **dict.fromkeys(OPTIONAL)) for f in shaded()]
-    assert all(bool(torch.isfinite(image).all()) for image in generated(method, frames))
+    without = dict.fromkeys(OPTIONAL)
+    frames = [replace(f, **without) for f in shaded()]
+    images = generated(method, frames, lambda t: replace(full(t), **without))
+    assert all(bool(torch.isfinite(image).all()) for image in images)
 
 
 def test_what_is_needed_is_used(name: str) -> None:
     """`needs` claims no buffer that the method can do without."""
     method = METHODS[name]()
+    refused = pytest.raises((AssertionError, AttributeError, TypeError, ValueError))
     assert "color" in method.needs
     for field in set(method.needs) - {"color"}:
-        frames = [replace(f, **{field: None}) for f in shaded()]
-        with pytest.raises((AssertionError, AttributeError, TypeError, ValueError)):
-            generated(method, frames)
+        with refused:
+            generated(method, [replace(f, **{field: None}) for f in shaded()])
+    for field in method.needs_generated:
+        with refused:
+            generated(method, shaded(), lambda t, field=field: replace(full(t), **{field: None}))

@@ -16,10 +16,13 @@ from framecast.methods.hold import Hold
 from framecast.methods.mobfgsr import Config as MobFGSRConfig
 from framecast.methods.mobfgsr import MobFGSR
 from framecast.methods.warp3d import Warp3D
+from framecast.methods.warps import OcclusionWarp, Warp
 
 METHODS: dict[str, Callable[[], nn.Module]] = {
     "hold": Hold,
     "blend": Blend,
+    "warp": Warp,
+    "warp-occlusion": OcclusionWarp,
     "warp3d": Warp3D,
     "bsr": BSR,
     "mobfgsr": MobFGSR,

@@ -1,0 +1,310 @@
+"""ExtraNet: a frame that was not shaded, from its G-buffers and the last three shaded frames warped to it.
+
+Paper:   Guo, Fu, Lin, Ma, Guo, Liu, Yan, "ExtraNet: Real-time Extrapolated Rendering for Low-latency Temporal
+         Supersampling", ACM Transactions on Graphics 40(6) (SIGGRAPH Asia) 2021,
+         https://doi.org/10.1145/3478513.3480531
+Follows: section 4: demodulation, three shaded frames warped by accumulated motion, holes marked by object, normal and
+         position (5.2), light-weight gated U-Net with a shared history encoder, residual on the warped image, log
+         domain, and the three losses. The network is the published one, layer by layer: 262,141 parameters, 50.1 GMAC
+         at 1280 x 720.
+Differs: Motion is accumulated from the newest frame on, each vector read where the one before leads and on the same
+         surface; the public code starts at the oldest.
+         The normal test marks small cosines (below 0.98), as the public code does; reading notes print the opposite.
+         Depth enters as d / (d + 10), which does not change from frame to frame as min-max scaling does.
+         Position tolerance is relative to depth, so that it does not depend on the scene's unit.
+         The divisor of demodulation is base colour + 0.04 (1 - metallic), and 1 at the sky: the sky needs no image of
+         its own. Jitter of all frames is part of the motion.
+         Losses are means of each image, so that they do not depend on how a batch is spread over processes.
+         `Config(scale=2)` is ExtraNet+, the baseline of FASSET (Qin et al.): zeros between the pixels, the network at
+         display size, without demodulation because base colour is there at render size alone. Its shaded frames go
+         through the same network, with themselves as the newest of the three.
+Needs:   color and every G-buffer; of the generated frame every G-buffer, motion and cameras
+Modes:   extrapolate
+State:   the last three shaded frames: light, surfaces, accumulated motion
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from framecast.color import decode_log, demodulate, encode_log, modulate
+from framecast.frame import SKY, Frame
+from framecast.methods.reproject import (
+    GEOMETRY,
+    Geometry,
+    choose,
+    chosen,
+    geometry,
+    light,
+    occluder_motion,
+    steps,
+    surface,
+    valid,
+)
+from framecast.nets import GatedConv, Up, conv, padded
+from framecast.recipe import Recipe
+from framecast.warp import chain, warp
+
+FEATURES = 6
+"""Channels of `features`."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """The network; the defaults are the published one."""
+
+    widths: tuple[int, int, int, int] = (24, 24, 32, 32)
+    """Channels at full, half, quarter and eighth size."""
+    history: bool = True
+    """Encode the three warped frames; without it the network sees the newest alone."""
+    occlusion: bool = True
+    """Show the network the image warped by occlusion motion; without it the plain warp twice."""
+    scale: int = 1
+    """Output size divided by input size; above 1 shaded frames are super-resolved too, and nothing is demodulated."""
+
+
+@dataclass(frozen=True)
+class Past:
+    """One shaded frame of the history."""
+
+    light: Float[Tensor, "b 3 h w"]
+    """Colour without texture, encoded by `encode_log`."""
+    shows: Geometry
+    motion: Float[Tensor, "b 2 h w"]
+    """Effective motion from the newest shaded frame to this one; 0 for the newest."""
+
+
+@dataclass(frozen=True)
+class History:
+    """The last three shaded frames; the oldest one repeated while there are fewer since the last reset."""
+
+    newest: Past
+    middle: Past
+    oldest: Past
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the network sees, at render size; colours are light in the log domain."""
+
+    base: Float[Tensor, "b 3 h w"]
+    """Newest frame warped, holes filled with whatever lay there: what the network's output is added to."""
+    occluded: Float[Tensor, "b 3 h w"]
+    """The same with holes read beside their occluders."""
+    mask: Float[Tensor, "b 1 h w"]
+    """1 = the newest frame shows the surface, 0 = hole."""
+    features: Float[Tensor, "b 6 h w"]
+    """Normal, depth in [0, 1], roughness, metallic."""
+    past: tuple[Float[Tensor, "b 4 h w"], ...]
+    """Warped light and mask, oldest to newest."""
+    jitter: Float[Tensor, "b 2"]
+    """Where in each pixel all of this was sampled."""
+
+
+for _kind in (Past, History):
+    torch.export.register_dataclass(_kind)
+
+
+class Encoder(nn.Module):
+    """One warped frame to features at an eighth of the size: nine convolutions, shared by the three frames."""
+
+    def __init__(self, widths: tuple[int, int, int, int]) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        for inputs, outputs in zip((4, *widths[1:3]), widths[1:], strict=True):
+            layers += [conv(inputs, outputs, 2), conv(outputs, outputs), conv(outputs, outputs)]
+        self.layers = nn.Sequential(*layers)
+
+    def forward(self, x: Float[Tensor, "b 4 h w"]) -> Float[Tensor, "b c H W"]:
+        encoded: Tensor = self.layers(x)
+        return encoded
+
+
+class Network(nn.Module):
+    """The in-painting U-Net and its history encoder; sizes have to be multiples of 8."""
+
+    def __init__(self, config: Config) -> None:
+        super().__init__()
+        a, b, c, d = config.widths
+        self.enter = nn.Sequential(GatedConv(12 + FEATURES, a), GatedConv(a, a))
+        self.down = nn.ModuleList(
+            nn.Sequential(GatedConv(x, x, stride=2, norm=False), GatedConv(x, y), GatedConv(y, y))
+            for x, y in ((a, b), (b, c), (c, d))
+        )
+        self.encoder = Encoder(config.widths) if config.history else None
+        self.fuse = GatedConv(3 * d, d, norm=False) if config.history else None
+        bottom = 2 * d if config.history else d
+        joined = (bottom + c, c + b, b + a)
+        self.up = nn.ModuleList(Up(x, x // 2, y) for x, y in zip(joined, (c, b, a), strict=True))
+        self.leave = nn.Conv2d(a, 3, 1)
+
+    def forward(self, x: Float[Tensor, "b 18 h w"], past: tuple[Tensor, ...]) -> Float[Tensor, "b 3 h w"]:
+        """What is added to the warped image. `past`: the three warped frames, b 4 h w, oldest first."""
+        level = [self.enter(x)]
+        for down in self.down:
+            level.append(down(level[-1]))
+        bottom = level.pop()
+        if self.encoder is not None and self.fuse is not None:
+            encoded = self.encoder(torch.cat(past))
+            bottom = torch.cat((bottom, self.fuse(torch.cat(encoded.chunk(3), 1))), 1)
+        for up in self.up:
+            bottom = up(bottom, level.pop())
+        residual: Tensor = self.leave(bottom)
+        return residual
+
+
+class ExtraNet(nn.Module):
+    """See the top of this file."""
+
+    needs: tuple[str, ...] = ("color", "albedo", "metallic", *GEOMETRY)
+    needs_generated: tuple[str, ...] = ("albedo", "roughness", "metallic", *GEOMETRY)
+    modes: tuple[str, ...] = ("extrapolate",)
+    parts: tuple[str, ...] = ("remember", "prepare", "predict")
+    history: int | None = 3
+    step_motion: bool = False
+
+    def __init__(self, config: Config = Config()) -> None:
+        super().__init__()
+        self.config = config
+        self.network = Network(config)
+        if config.scale > 1:
+            self.needs = (*self.needs, "roughness")
+
+    def start(self, frame: Frame) -> History:
+        """The state before the first frame, which is `frame`."""
+        only = self.past(frame)
+        return History(only, only, only)
+
+    def past(self, frame: Frame) -> Past:
+        """The frame as part of the history, not moved."""
+        assert frame.color is not None
+        seen = encode_log(frame.color) if self.config.scale > 1 else light(frame)
+        return Past(seen, geometry(frame), torch.zeros_like(seen[:, :2]))
+
+    def forward(self, frame: Frame, state: History) -> tuple[Float[Tensor, "b 3 H W"], History]:
+        """The frame's own image where it was shaded (super-resolved where `scale` says so), else a generated one."""
+        if frame.color is None:
+            return self.image(frame, state, steps(frame, state.newest.shows.time, state.newest.shows.jitter)), state
+        state = self.remember(frame, state)
+        if self.config.scale == 1:
+            return frame.color, state
+        return self.image(frame, state, torch.zeros_like(state.newest.motion)), state
+
+    def image(self, frame: Frame, state: History, motion: Tensor) -> Float[Tensor, "b 3 H W"]:
+        """The image from the history and the motion to its newest frame."""
+        predicted = decode_log(self.predict(self.prepare(frame, state, motion)))
+        return predicted if self.config.scale > 1 else modulate(predicted, surface(frame))
+
+    def remember(self, frame: Frame, state: History) -> History:
+        """The history after one more shaded frame; where the frame resets, that frame alone."""
+        now = self.past(frame)
+        motion = steps(frame, state.newest.shows.time, state.newest.shows.jitter)
+        middle = replace(state.newest, motion=motion)
+        oldest = replace(state.middle, motion=self.reach(now.shows, state, motion, state.middle))
+        return History(now, _where(frame.reset, now, middle), _where(frame.reset, now, oldest))
+
+    def reach(self, now: Geometry, state: History, motion: Tensor, past: Past) -> Float[Tensor, "b 2 h w"]:
+        """Motion to an earlier frame of the history, from a frame whose motion to the newest one is given."""
+        newest = state.newest.shows
+        spans = (now.time - newest.time, newest.time - past.shows.time)
+        return chain([motion, past.motion], [now.depth, newest.depth], spans)
+
+    def prepare(self, frame: Frame, state: History, motion: Float[Tensor, "b 2 h w"]) -> Inputs:
+        """Everything before the network: the history warped to the frame, and its holes marked."""
+        with torch.autocast(motion.device.type, enabled=False):
+            now = geometry(frame)
+            motions = [self.reach(now, state, motion, past) for past in (state.oldest, state.middle)]
+            pasts = (state.oldest, state.middle, state.newest)
+            seen = [
+                (warp(past.light, m), valid(now, past.shows, m))
+                for past, m in zip(pasts, (*motions, motion), strict=True)
+            ]
+            base, mask = seen[-1]
+            if not self.config.occlusion:
+                occluded = base
+            else:
+                occluded = torch.where(mask, base, warp(state.newest.light, occluder_motion(now.depth, motion)))
+            past = tuple(torch.cat((image, m.float()), 1) for image, m in seen)
+            return Inputs(base, occluded, mask.float(), features(frame), past, frame.jitter)
+
+    def predict(self, inputs: Inputs) -> Float[Tensor, "b 3 H W"]:
+        """Light in the log domain, from the network."""
+        scale, jitter = self.config.scale, inputs.jitter
+        images = torch.cat((inputs.base, inputs.occluded), 1)
+        x = torch.cat((images, images * inputs.mask, inputs.features), 1)
+        past = tuple(padded(scattered(image, jitter, scale), 8) for image in inputs.past)
+        residual = self.network(padded(scattered(x, jitter, scale), 8), past).float()
+        base = enlarged(inputs.base, jitter, scale)
+        return residual[..., : base.shape[-2], : base.shape[-1]] + base
+
+
+def scattered(x: Float[Tensor, "b c h w"], jitter: Float[Tensor, "b 2"], scale: int) -> Float[Tensor, "b c H W"]:
+    """The image `scale` times as large: each value in the pixel that its sample lies in, zeros between."""
+    if scale == 1:
+        return x
+    cell = ((jitter + 0.5) * scale).floor().clamp(0, scale - 1)
+    column, row = (cell[:, :, None] == torch.arange(scale, device=x.device)).to(x.dtype).unbind(1)
+    batch, channels, height, width = x.shape
+    spread = x[..., None, :, None] * row[:, None, None, :, None, None] * column[:, None, None, None, None, :]
+    return spread.reshape(batch, channels, height * scale, width * scale)
+
+
+def enlarged(x: Float[Tensor, "b c h w"], jitter: Float[Tensor, "b 2"], scale: int) -> Float[Tensor, "b c H W"]:
+    """The image `scale` times as large, bilinear between its samples."""
+    if scale == 1:
+        return x
+    batch, channels, height, width = x.shape
+    shift = -2 * jitter / torch.tensor([width, height], device=x.device)
+    across = torch.eye(2, device=x.device).expand(batch, 2, 2)
+    size = [batch, channels, height * scale, width * scale]
+    grid = F.affine_grid(torch.cat((across, shift[:, :, None]), 2), size, align_corners=False)
+    return F.grid_sample(x, grid, padding_mode="border", align_corners=False)
+
+
+def features(frame: Frame) -> Float[Tensor, "b 6 h w"]:
+    """Normal, depth as d / (d + 10) with 1 at the sky, roughness, metallic: the same from frame to frame."""
+    assert frame.depth is not None
+    assert frame.normal is not None
+    assert frame.roughness is not None
+    assert frame.metallic is not None
+    depth = torch.where(frame.depth < SKY, frame.depth / (frame.depth + 10), 1)
+    return torch.cat((frame.normal, depth, frame.roughness, frame.metallic), 1)
+
+
+def _where(fresh: Bool[Tensor, " b"], a: Past, b: Past) -> Past:
+    """Per image of the batch, `a` where `fresh`, else `b`."""
+    return Past(chosen(fresh, a.light, b.light), choose(fresh, a.shows, b.shows), chosen(fresh, a.motion, b.motion))
+
+
+# Training.
+
+
+def loss(
+    method: ExtraNet, frame: Frame, state: History, target: Float[Tensor, "b 3 H W"]
+) -> dict[str, Float[Tensor, ""]]:
+    """The three terms, in the log domain of light: everywhere, in holes, and where the error is largest."""
+    inputs = method.prepare(frame, state, steps(frame, state.newest.shows.time, state.newest.shows.jitter))
+    seen = target if method.config.scale > 1 else demodulate(target, surface(frame))
+    hole = 1 - inputs.mask
+    if method.config.scale > 1:
+        hole = F.interpolate(hole, (target.shape[-2], target.shape[-1]))
+    error = (method.predict(inputs) - encode_log(seen)).abs()
+    return {"l1": error.mean(), "hole": hole_loss(error, hole), "shade": shading_loss(error)}
+
+
+def hole_loss(error: Float[Tensor, "b 3 h w"], hole: Float[Tensor, "b 1 h w"]) -> Float[Tensor, ""]:
+    """Mean error over the holes (1 = hole) of each image; 0 for an image without any."""
+    per_image = (error * hole).mean(1).sum((1, 2)) / hole.sum((1, 2, 3)).clamp(min=1)
+    return per_image.mean()
+
+
+def shading_loss(error: Float[Tensor, "b 3 h w"], share: float = 0.1) -> Float[Tensor, ""]:
+    """Mean of the largest errors, a tenth of the pixels, of each image and channel on its own."""
+    flat = error.flatten(2)
+    return flat.topk(max(1, round(share * flat.shape[2])), dim=2).values.mean()
+
+
+recipe = Recipe(loss=loss)

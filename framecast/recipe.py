@@ -1,0 +1,35 @@
+"""How a method is trained: the part of training that belongs to the method, written in its file."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+Loss = Callable[[Any, Any, Any, Tensor], dict[str, Tensor]]
+"""(method, frame to generate, state, true colour) -> the terms of the loss by name, scalars; their sum is minimised."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Loss, samples, optimiser and schedule; the defaults are ExtraNet's where it says."""
+
+    loss: Loss
+    shaded: int = 3
+    """Shaded frames of a sample, every second frame of the clip; the frame after the last of them is generated."""
+    crop: tuple[int, int] = (256, 256)
+    """Height and width of a sample, pixels; smaller where the clip is smaller."""
+    batch: int = 8
+    """Samples of a step, over all processes."""
+    steps: int = 50_000
+    rate: float = 1e-3
+    """Learning rate of Adam at its highest, after the warm-up."""
+    betas: tuple[float, float] = (0.9, 0.999)
+    warmup: int = 200
+    """Steps over which the rate rises from 0."""
+    floor: float = 1e-6
+    """Learning rate at the last step, reached along a cosine."""
+    clip_norm: float = 1.0
+    """Largest norm of the gradient; longer ones are shortened to it."""
+    stops: float = 1.0
+    """Samples are brightened and darkened at random by up to this many factors of two."""

@@ -1,0 +1,379 @@
+"""ExtraNet and the warps that feed it: known sizes, exact motion, holes, occluders, losses."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from framecast.frame import SKY, Frame, concatenate, perspective, unshaded
+from framecast.methods.extranet import (
+    Config,
+    ExtraNet,
+    History,
+    Network,
+    enlarged,
+    features,
+    hole_loss,
+    loss,
+    scattered,
+    shading_loss,
+)
+from framecast.methods.reproject import geometry, light, occluder_motion, steps, surface, valid
+from framecast.methods.warps import OcclusionWarp, Warp
+from framecast.nets import multiply_accumulates, parameters
+from framecast.warp import chain, inside
+
+H, W = 24, 40
+
+
+def texture(x: Tensor, y: Tensor) -> Tensor:
+    """Colour of the wall at a place of it, in pixels."""
+    return torch.stack((0.5 + 0.3 * torch.sin(x * 0.4), 0.5 + 0.3 * torch.cos(y * 0.5), 0.4 + 0.2 * torch.sin(x + y)))
+
+
+def shot(
+    time: float,
+    *,
+    speed: float = 3.0,
+    square: float | None = None,
+    jitter: tuple[float, float] = (0.0, 0.0),
+    span: float = 2.0,
+) -> Frame:
+    """A textured wall at depth 5 that an orthographic camera sees pass by, `speed` pixels a frame to the right.
+
+    `square`: a grey square of 8 pixels at depth 2, object 7, moving that many pixels a frame from column 4.
+    """
+    y, x = torch.meshgrid(torch.arange(H) + 0.5 + jitter[1], torch.arange(W) + 0.5 + jitter[0], indexing="ij")
+    color = texture(x - speed * time, y)
+    hit = torch.zeros(H, W, dtype=torch.bool)
+    if square is not None:
+        left = 4 + square * time
+        hit = (x >= left) & (x < left + 8) & (y >= 8) & (y < 16)
+    motion = torch.stack((torch.where(hit, -(square or 0.0) * span, -speed * span), torch.zeros(H, W)))
+    view = torch.eye(4)
+    view[0, 3] = speed * time  # the wall stands still in the world, the camera moves past it, one unit a pixel
+    projection = torch.diag(torch.tensor([2 / W, 2 / H, -0.01, 1.0]))
+    return Frame(
+        color=torch.where(hit, torch.tensor(0.05), color)[None],
+        depth=torch.where(hit, 2.0, 5.0)[None, None],
+        motion=motion[None],
+        albedo=torch.full((1, 3, H, W), 0.5),
+        normal=torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).expand(1, 3, H, W).contiguous(),
+        roughness=torch.full((1, 1, H, W), 0.5),
+        metallic=torch.zeros(1, 1, H, W),
+        object=(hit.int() * 7)[None, None],
+        jitter=torch.tensor([jitter]),
+        view=view[None],
+        projection=projection[None],
+        time=torch.tensor([float(time)]),
+        reset=torch.tensor([time == 0]),
+        span=torch.tensor([span]),
+    )
+
+
+def fed(method: nn.Module, frames: list[Frame]) -> History:
+    state = method.start(frames[0])
+    for frame in frames:
+        _, state = method(frame, state)
+    return state
+
+
+def silent() -> ExtraNet:
+    """The method with a network that adds nothing, so that its image is the warped one."""
+    method = ExtraNet().eval()
+    nn.init.zeros_(method.network.leave.weight)
+    nn.init.zeros_(method.network.leave.bias)  # type: ignore[arg-type]
+    return method
+
+
+def test_the_default_is_the_published_network() -> None:
+    network = Network(Config()).to("meta").eval()
+    x = torch.zeros(1, 18, 720, 1280, device="meta")
+    past = tuple(torch.zeros(1, 4, 720, 1280, device="meta") for _ in range(3))
+    assert parameters(network) == 262_141
+    assert multiply_accumulates(network, lambda: network(x, past)) == pytest.approx(50.1e9, rel=1e-3)
+
+
+def test_the_counter_counts_what_can_be_counted_by_hand() -> None:
+    layers = nn.Sequential(nn.Conv2d(3, 5, 3, 2, 1), nn.ConvTranspose2d(5, 2, 4, 2, 1))
+    count = multiply_accumulates(layers, lambda: layers(torch.zeros(1, 3, 8, 8)))
+    assert count == 4 * 4 * 5 * 27 + 4 * 4 * 5 * 2 * 16
+    linear = nn.Linear(7, 3)
+    assert multiply_accumulates(linear, lambda: linear(torch.zeros(2, 7))) == 2 * 21
+
+
+def test_ablations_are_smaller_networks() -> None:
+    full, without = parameters(Network(Config())), parameters(Network(Config(history=False)))
+    assert without < full
+    assert parameters(Network(Config(occlusion=False))) == full
+
+
+# Motion.
+
+
+def test_two_rigid_translations_chain_to_their_sum() -> None:
+    first = torch.tensor([2.0, -3.0]).view(1, 2, 1, 1).expand(1, 2, H, W)
+    second = torch.tensor([-4.0, 1.0]).view(1, 2, 1, 1).expand(1, 2, H, W)
+    depth = torch.full((1, 1, H, W), 3.0)
+    torch.testing.assert_close(chain([first, second], [depth, depth]), first + second)
+
+
+def test_a_surface_hidden_in_between_keeps_its_velocity_over_unequal_gaps() -> None:
+    """One pixel of its own, covered in the other frame: 3 pixels in one frame are 6 in two."""
+    motion, other = torch.zeros(1, 2, 5, 5), torch.full((1, 2, 5, 5), 9.0)
+    motion[:, 0] = 1.5
+    near, far = torch.full((1, 1, 5, 5), 1.0), torch.full((1, 1, 5, 5), 8.0)
+    total = chain([motion, other], [far, near], [torch.tensor([1.0]), torch.tensor([2.0])])
+    torch.testing.assert_close(total[:, 0], torch.full((1, 5, 5), 4.5))
+
+
+def test_the_whole_history_lands_on_the_frame_to_generate() -> None:
+    """Three frames of a passing wall, half a gap apart from the new one, all warp onto it."""
+    method = silent()
+    state = fed(method, [shot(t) for t in (0.0, 2.0, 4.0)])
+    request = unshaded(shot(5.0, span=1.0))
+    inputs = method.prepare(request, state, steps(request, state.newest.shows.time, state.newest.shows.jitter))
+    truth = light(shot(5.0))
+    columns = slice(16, W)  # 15 pixels have come in since the oldest
+    for past in inputs.past:
+        assert bool(past[:, 3:, :, columns].all())
+        torch.testing.assert_close(past[:, :3, :, columns], truth[..., columns], atol=2e-3, rtol=0)
+    assert not bool(inputs.past[0][:, 3, :, :14].any())
+    assert bool(inputs.past[2][:, 3, :, 4:].all())
+
+
+def test_motion_is_scaled_where_vectors_reach_elsewhere() -> None:
+    """Vectors over two frames, the shaded frame half as far: half the vectors."""
+    frame = shot(5.0, span=2.0)
+    motion = steps(frame, torch.tensor([4.0]), torch.zeros(1, 2))
+    torch.testing.assert_close(motion[:, 0], torch.full((1, H, W), -3.0))
+
+
+def test_jitter_is_part_of_the_motion() -> None:
+    """A wall that stands still, sampled at other places: the warp is closer than the frame as it is."""
+    last, now = shot(4.0, speed=0, jitter=(-0.4, 0.3)), shot(5.0, speed=0, jitter=(0.4, -0.3), span=1.0)
+    image, _ = Warp()(unshaded(now), Warp().start(last))
+    inner = (..., slice(2, -2), slice(2, -2))
+    assert now.color is not None
+    assert last.color is not None
+    error, before = (image - now.color)[inner].abs().mean(), (last.color - now.color)[inner].abs().mean()
+    assert error < 0.25 * before
+
+
+# Light and surfaces.
+
+
+def test_light_times_surface_is_colour_also_at_the_sky_and_on_black() -> None:
+    frame = shot(0)
+    assert frame.depth is not None
+    assert frame.albedo is not None
+    depth, albedo = frame.depth.clone(), frame.albedo.clone()
+    depth[..., :4, :], albedo[..., :8] = SKY, 0
+    frame = replace(frame, depth=depth, albedo=albedo)
+    torch.testing.assert_close(torch.expm1(light(frame)) * surface(frame), frame.color)
+    assert bool((surface(frame)[..., :4, :] == 1).all())
+    assert float(surface(frame).min()) == pytest.approx(0.04)
+
+
+def test_depth_is_encoded_alike_whatever_else_is_in_view() -> None:
+    near = shot(0)
+    assert near.depth is not None
+    depth = near.depth.clone()
+    depth[..., 0, 0] = 5000
+    a, b = features(near), features(replace(near, depth=depth))
+    assert torch.equal(a[..., 1:, :], b[..., 1:, :])
+    assert float(b[0, 3, 0, 0]) < 1
+    assert float(features(replace(near, depth=torch.full_like(depth, SKY)))[0, 3, 0, 0]) == 1
+
+
+# Holes.
+
+
+def moved(frame: Frame, **changes: object) -> Tensor:
+    """Which pixels of a standing scene are valid when the past frame differs by `changes`."""
+    past = replace(frame, **changes)
+    zero = torch.zeros(1, 2, H, W)
+    return valid(geometry(frame), geometry(past), zero)
+
+
+def test_a_frame_is_valid_in_itself() -> None:
+    assert bool(moved(shot(0, square=1.0)).all())
+
+
+@pytest.mark.parametrize(("degrees", "expected"), [(0, True), (5, True), (20, False), (175, False)])
+def test_turned_normals_are_holes_on_moving_things(degrees: float, expected: bool) -> None:
+    frame = replace(shot(0), object=torch.full((1, 1, H, W), 3, dtype=torch.int32))
+    angle = torch.tensor(degrees).deg2rad()
+    turned = torch.stack((angle.sin(), angle * 0, angle.cos())).view(1, 3, 1, 1).expand(1, 3, H, W)
+    assert bool(moved(frame, normal=turned).all()) == expected
+    assert bool(moved(frame, normal=turned).any()) == expected
+
+
+def test_normals_do_not_count_on_the_static_world() -> None:
+    frame = shot(0)
+    assert bool(moved(frame, normal=torch.ones(1, 3, H, W)).all())
+
+
+def test_another_object_is_a_hole() -> None:
+    frame = shot(0)
+    other = torch.zeros(1, 1, H, W, dtype=torch.int32)
+    other[..., 10:12, 20:22] = 5
+    found = ~moved(frame, object=other)
+    assert torch.equal(found, other > 0)
+
+
+def test_another_place_is_a_hole_on_the_static_world() -> None:
+    frame = shot(0)
+    assert frame.depth is not None
+    depth = frame.depth.clone()
+    depth[..., 10, 20] = 3.0
+    found = ~moved(frame, depth=depth)
+    assert int(found.sum()) == 1
+    assert bool(found[0, 0, 10, 20])
+    assert bool(moved(frame, depth=frame.depth + 0.02).all())
+
+
+def test_beyond_the_border_is_a_hole() -> None:
+    frame = shot(0, speed=0)
+    motion = torch.zeros(1, 2, H, W)
+    motion[:, 0] = -2.6
+    wide = replace(frame, depth=torch.full((1, 1, H, W), 500.0))  # tolerance far above the shift
+    assert torch.equal(valid(geometry(wide), geometry(wide), motion), inside(motion))
+
+
+def test_perspective_disocclusion_is_exactly_what_was_hidden() -> None:
+    """A camera steps aside: the wall behind a pillar that was hidden is a hole, the rest is not."""
+    projection, view = perspective(1.0, W / H)[None], torch.eye(4)[None]
+    depth = torch.full((1, 1, H, W), 10.0)
+    frame = replace(shot(0), projection=projection, view=view, depth=depth)
+    pillar = depth.clone()
+    pillar[..., 18:22] = 4.0
+    past = replace(frame, depth=pillar)
+    seen = valid(geometry(frame), geometry(past), torch.zeros(1, 2, H, W))
+    assert torch.equal(seen, pillar > 5)
+
+
+# Occluders.
+
+
+def test_occlusion_motion_reads_background_beside_a_moving_square() -> None:
+    """A square moves 6 pixels to the right over a standing wall: what it uncovers is read left of it, never from it."""
+    last, now = shot(4.0, speed=0, square=3.0), shot(6.0, speed=0, square=3.0)
+    assert now.depth is not None
+    assert now.motion is not None
+    assert last.object is not None
+    assert now.object is not None
+    uncovered = (last.object == 7) & (now.object == 0)
+    assert int(uncovered.sum()) == 6 * 8
+    followed = occluder_motion(now.depth, now.motion)
+    assert torch.equal(followed[:, 0][uncovered[:, 0]], torch.full((48,), -6.0))
+    image, _ = OcclusionWarp()(unshaded(now), OcclusionWarp().start(last))
+    plain, _ = Warp()(unshaded(now), Warp().start(last))
+    assert last.color is not None
+    beside = torch.roll(last.color, 6, 3)
+    where = uncovered.expand(-1, 3, -1, -1)
+    torch.testing.assert_close(image[where], beside[where], atol=1e-4, rtol=0)
+    torch.testing.assert_close(plain[where], torch.full((144,), 0.05), atol=1e-4, rtol=0)
+
+
+def test_without_an_occluder_pixels_keep_their_motion() -> None:
+    depth, motion = torch.full((1, 1, H, W), 4.0), torch.full((1, 2, H, W), 2.0)
+    assert torch.equal(occluder_motion(depth, motion), motion)
+
+
+# Losses.
+
+
+def test_an_image_without_holes_has_no_hole_loss() -> None:
+    error = torch.rand(2, 3, 8, 8)
+    assert float(hole_loss(error, torch.zeros(2, 1, 8, 8))) == 0
+    hole = torch.zeros(2, 1, 8, 8)
+    hole[0, 0, 2, 3] = 1
+    assert float(hole_loss(error, hole)) == pytest.approx(float(error[0, :, 2, 3].mean()) / 2)
+
+
+def test_shading_loss_is_the_mean_of_the_worst_tenth_of_each_image_and_channel() -> None:
+    error = torch.zeros(2, 3, 10, 10)
+    error[0, 0, 0, :10] = 1.0  # ten of a hundred pixels, one channel of one image
+    error[1, 2, 0, :5] = 1.0
+    assert float(shading_loss(error)) == pytest.approx((1 + 0.5) / 6)
+
+
+def test_no_loss_when_nothing_changes_and_gradients_reach_every_layer() -> None:
+    frames = [shot(t, speed=0) for t in (0.0, 2.0, 4.0)]
+    target = shot(5.0, speed=0, span=1.0)
+    method = silent()
+    terms = loss(method, unshaded(target), fed(method, frames), target.color)
+    assert all(float(term.detach()) < 1e-4 for term in terms.values())
+    method = ExtraNet().train()
+    sum(loss(method, unshaded(target), fed(method, frames), 2 * target.color).values()).backward()
+    assert all(p.grad is not None and bool(torch.isfinite(p.grad).all()) for p in method.parameters())
+    assert method.network.encoder is not None
+    assert any(bool(p.grad.abs().sum() > 0) for p in method.network.encoder.parameters() if p.grad is not None)
+
+
+# The call.
+
+
+def test_the_image_is_the_warped_one_plus_what_the_network_adds() -> None:
+    method = silent()
+    state = fed(method, [shot(t, square=1.0) for t in (0.0, 2.0, 4.0)])
+    request = unshaded(shot(5.0, square=1.0, span=1.0))
+    image, after = method(request, state)
+    assert after is state
+    base = method.prepare(request, state, steps(request, state.newest.shows.time, state.newest.shows.jitter)).base
+    torch.testing.assert_close(image, torch.expm1(base) * surface(request))
+    nn.init.constant_(method.network.leave.bias, 0.1)  # type: ignore[arg-type]
+    torch.testing.assert_close(method(request, state)[0], torch.expm1(base + 0.1) * surface(request))
+
+
+def test_a_batch_is_its_images_and_a_reset_a_fresh_start() -> None:
+    method = ExtraNet().eval()
+    one = [shot(t) for t in (0.0, 2.0, 4.0)]
+    two = [shot(0.0, square=2.0), shot(2.0, square=2.0), replace(shot(4.0, square=2.0), reset=torch.tensor([True]))]
+    request = [unshaded(shot(5.0, span=1.0)), unshaded(shot(5.0, square=2.0, span=1.0))]
+    with torch.no_grad():
+        state = fed(method, [concatenate(pair) for pair in zip(one, two, strict=True)])
+        both, _ = method(concatenate(request), state)
+        apart = method(request[0], fed(method, one))[0], method(request[1], fed(method, two[2:]))[0]
+    torch.testing.assert_close(both, torch.cat(apart), atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("config", [Config(), Config(history=False), Config(occlusion=False), Config(scale=2)])
+def test_every_configuration_runs_at_odd_sizes(config: Config) -> None:
+    method = ExtraNet(config).eval()
+
+    def cut(frame: Frame) -> Frame:
+        size = {f: getattr(frame, f)[..., :13, :21] for f in method.needs_generated if f not in ("view", "projection")}
+        return replace(frame, **size, color=None if frame.color is None else frame.color[..., :13, :21])
+
+    with torch.no_grad():
+        state = fed(method, [cut(shot(t)) for t in (0.0, 2.0)])
+        image, _ = method(cut(unshaded(shot(3.0, span=1.0))), state)
+        shown, _ = method(cut(shot(4.0)), state)
+    for output in (image, shown):
+        assert output.shape == (1, 3, 13 * config.scale, 21 * config.scale)
+        assert bool(torch.isfinite(output).all())
+        assert bool((output >= 0).all())
+
+
+# ExtraNet+.
+
+
+def test_values_lie_where_their_samples_do_and_zeros_between() -> None:
+    x = torch.rand(2, 1, 3, 4) + 1
+    jitter = torch.tensor([[-0.25, -0.25], [0.25, -0.25]])
+    larger = scattered(x, jitter, 2)
+    assert torch.equal(larger[0, :, ::2, ::2], x[0])
+    assert torch.equal(larger[1, :, ::2, 1::2], x[1])
+    assert int((larger == 0).sum()) == 2 * 9 * 4
+
+
+def test_enlarging_knows_where_the_samples_were() -> None:
+    """A ramp sampled off the centres is the same ramp when enlarged."""
+    columns = (torch.arange(8) + 0.5)[None].expand(8, 8)
+    for shift in (-0.4, 0.0, 0.3):
+        larger = enlarged((columns + shift)[None, None], torch.tensor([[shift, 0.0]]), 2)
+        expected = (torch.arange(16) + 0.5) / 2
+        torch.testing.assert_close(larger[0, 0, 5, 2:-2], expected[2:-2], atol=1e-5, rtol=0)
