@@ -12,8 +12,9 @@ from typing import Annotated
 import tyro
 
 from framecast import __version__, exr
-from framecast.evaluate import Settings, fitting, labels
+from framecast.evaluate import Settings, labels
 from framecast.evaluate import jobs as evaluation
+from framecast.fit import fitting
 from framecast.importers import open_any
 from framecast.metrics import METRICS
 from framecast.results import MEAN, Mode, Row, shown, with_means, write_results

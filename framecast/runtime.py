@@ -63,7 +63,7 @@ def latency(rate: int, mode: Mode) -> float:
 
 
 def schedule(
-    frames: Iterable[Frame], rate: int, mode: Mode, generated: Callable[[float], Frame] = moment
+    frames: Iterable[Frame], rate: int, mode: Mode, generated: Callable[[float], Frame] = moment, *, first: int = 0
 ) -> Iterator[list[Frame]]:
     """Groups of frames in arrival order: the shaded ones, and between them requests that raise the rate `rate` times.
 
@@ -83,7 +83,7 @@ def schedule(
     if rate < 1:
         raise ValueError(f"rate is {rate}; it has to be a whole number, at least 1")
     previous: Frame | None = None
-    for gap, frame in enumerate(frames, start=-1):
+    for gap, frame in enumerate(frames, start=first - 1):
         between = [] if previous is None or mode == "pass" else _moments(previous, frame, rate)
         count = len(between) if bool(frame.reset.all()) else extrapolated(rate, mode, gap)
         if between[:count]:

@@ -10,6 +10,8 @@ import torch
 from framecast.clip import Clip, Record, finish, write_frame
 from framecast.frame import SKY, Frame
 
+torch.set_num_threads(1)  # tiny images: threads only wait for each other
+
 
 @pytest.fixture(autouse=True)
 def _seed() -> None:

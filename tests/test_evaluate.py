@@ -14,7 +14,8 @@ from conftest import disc_frame, write_disc_clip
 from framecast import evaluate as protocol
 from framecast.clip import Clip, ClipError, Record, finish, write_frame
 from framecast.color import to_display
-from framecast.evaluate import Settings, command, counts, evaluate, regions, require
+from framecast.evaluate import Settings, command, counts, evaluate, regions
+from framecast.fit import require
 from framecast.frame import Frame
 from framecast.methods import METHODS
 from framecast.metrics import psnr

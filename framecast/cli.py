@@ -1,0 +1,149 @@
+"""The command line: `framecast COMMAND ...`, each command a function whose arguments are its options."""
+
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from tyro.conf import OmitArgPrefixes, Positional, arg
+
+from framecast.clip import Clip, check
+from framecast.evaluate import command as evaluate
+from framecast.fit import method_named
+from framecast.importers import describe, open_any, repairs, save
+from framecast.methods import METHODS
+from framecast.runtime import Mode
+from framecast.upsample import Format, Job
+from framecast.upsample import upsample as run_upsample
+
+Out = Annotated[Path, arg(aliases=["-o"])]
+
+
+def progress(title: str) -> Progress:
+    """A bar with count, rate and time left, gone when done."""
+    rate = TextColumn("{task.fields[rate]}")
+    columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), rate, TimeElapsedColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+
+
+def bar(title: str) -> Callable[[Iterable[int], int], Iterable[int]]:
+    """Wraps indices so that going through them moves a progress bar."""
+
+    def through(indices: Iterable[int], total: int) -> Iterable[int]:
+        with progress(title) as shown:
+            task = shown.add_task(title, total=total, rate="")
+            for index in indices:
+                yield index
+                speed = shown.tasks[0].speed
+                shown.update(task, advance=1, rate=f"{speed:.1f} images/s" if speed else "")
+
+    return through
+
+
+def upsample(
+    clip: Positional[Path],
+    out: Out,
+    method: str = "mobfgsr",
+    fps: int = 2,
+    mode: Mode = "interpolate",
+    format: Format | None = None,
+    repair: bool = False,
+    overwrite: bool = False,
+    device: str = "cpu",
+    compile: bool = False,
+) -> None:
+    """Raise the frame rate of a clip or of a folder of rendered EXR files.
+
+    Interrupted and started again, it goes on where it was. The last line says what was made.
+
+    Args:
+        clip: a clip, or a Blender shot (see `framecast import`).
+        out: folder for the images, or a name that ends in .mp4 for a film.
+        method: how images are made; `framecast evaluate` compares them.
+        fps: images out for each frame in.
+        mode: interpolate waits for the next frame; extrapolate does not; mixed does half of each; pass copies.
+        format: exr (linear, half float), png (8 bits, as displayed) or mp4; by default exr, or mp4 by the name.
+        repair: replace NaN and infinite pixels of the input.
+        overwrite: remove what is at OUT first.
+        device: cpu, cuda, mps.
+        compile: compile the method: half a minute once for each size, then several times faster.
+    """
+    job = Job(method, fps, mode, format or ("mp4" if out.suffix == ".mp4" else "exr"))
+    opened = open_any(clip, repair=repair)
+    made = run_upsample(
+        opened, out, job, device=device, compile=compile, overwrite=overwrite, progress=bar(f"upsample ({method})")
+    )
+    height, width = opened.size
+    again = f", {made.skipped} of them were there" if made.skipped else ""
+    speed = f"; {made.milliseconds:.0f} ms for a generated image" if made.milliseconds else ""
+    print(
+        f"{made.out}: {made.frames} images ({made.shaded} shaded, {made.frames - made.shaded} generated{again}), "
+        f"{width}x{height}, {made.fps:g} frames a second; {method}, {mode}, "
+        f"adds {made.latency_ms:.1f} ms of latency{speed}"
+    )
+
+
+def import_shot(
+    shot: Positional[Path], out: Out, fps: float | None = None, repair: bool = False, full: bool = False
+) -> None:
+    """Turn a folder of rendered EXR files into a clip, and say what it allows.
+
+    Args:
+        shot: folder of multilayer EXR files, as Blender writes them.
+        out: folder of the clip; it appears when it is complete.
+        fps: frames a second, where the files do not tell.
+        repair: replace NaN and infinite pixels, and say how many.
+        full: keep 32 bits of colour, albedo and normal in place of half floats.
+    """
+    clip = open_any(shot, fps=fps)
+    print(describe(clip, {name: tuple(method_named(name).needs) for name in METHODS}))
+    saved = save(clip, out, repair=repair, full=full, progress=lambda indices: bar("import")(indices, len(indices)))
+    mended = f", {repairs(saved)} NaN or infinite values replaced" if repair else ""
+    print(f"{out}: {len(saved)} frames written{mended}")
+
+
+def check_clip(clip: Positional[Path]) -> None:
+    """Read every frame of a clip and say what is wrong with it.
+
+    Args:
+        clip: a clip, or a Blender shot.
+    """
+    opened: Clip = open_any(clip)
+    complaints = check(opened)
+    if complaints:
+        raise ValueError("\n".join(complaints))
+    print(f"{clip}: {len(opened)} frames, nothing wrong")
+
+
+COMMANDS: dict[str, Callable[..., Any]] = {
+    "upsample": upsample,
+    "import": import_shot,
+    "check": check_clip,
+    "evaluate": evaluate,
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command. 0: done; 2: something is wrong with what was given, said in a sentence; 130: interrupted."""
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            COMMANDS,
+            prog="framecast",
+            description="More pixels and more frames than were shaded.",
+            args=arguments,
+            config=(OmitArgPrefixes,),
+        )
+    except (ValueError, FileNotFoundError) as error:
+        print(f"framecast: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("framecast: interrupted; run the same command again to go on", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

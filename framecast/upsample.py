@@ -1,0 +1,204 @@
+"""The main job: a clip in, a sequence with more frames out, whole files only, going on where it was.
+
+out/0001.exr ...     linear colour, half float; or 0001.png, display colour, 8 bits
+out/job.json         what was asked for, so that the same command goes on and another one is refused
+out.mp4              the same as a film; its frames lie in a folder beside it until it is complete
+"""
+
+import json
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from itertools import islice
+from pathlib import Path
+from typing import Any, Literal
+
+import av
+import numpy as np
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+
+from framecast import exr
+from framecast.clip import Clip, ClipError
+from framecast.color import to_display
+from framecast.fit import method_named, require, require_mode
+from framecast.frame import Frame
+from framecast.runtime import Mode, Output, latency, schedule, stream
+
+Format = Literal["exr", "png", "mp4"]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What decides the pixels of the output."""
+
+    method: str = "mobfgsr"
+    rate: int = 2
+    """Frames out for each shaded frame in."""
+    mode: Mode = "interpolate"
+    format: Format = "exr"
+
+
+@dataclass(frozen=True)
+class Made:
+    """What `upsample` did."""
+
+    out: Path
+    frames: int
+    """Images in the output."""
+    shaded: int
+    """How many of them the renderer shaded."""
+    fps: float
+    skipped: int
+    """Images that an earlier run had made."""
+    milliseconds: float
+    """Mean time of the method for a generated image; 0 where none was made."""
+    latency_ms: float
+    """How long images wait because of the mode, at the clip's speed."""
+
+
+def upsample(
+    clip: Clip,
+    out: Path,
+    job: Job = Job(),
+    *,
+    device: str = "cpu",
+    compile: bool = False,
+    overwrite: bool = False,
+    progress: Callable[[Iterable[int], int], Iterable[int]] = lambda indices, total: indices,
+) -> Made:
+    """Write the clip at `job.rate` times its frame rate. Interrupted and called again, it goes on where it was.
+
+    Args:
+        out: a folder, or a file name for mp4.
+        overwrite: remove what is there first.
+        progress: wraps the indices of the images still to make; gets their number too.
+
+    Raises:
+        ClipError: `out` holds something else, the clip cannot be used or read, the disk is full.
+        ValueError: unknown method, or one that cannot run in this mode.
+    """
+    if job.rate < 1:
+        raise ValueError(f"rate is {job.rate}; it has to be a whole number, at least 1")
+    method = method_named(job.method)
+    if job.mode != "pass":
+        require_mode(job.method, method, job.mode)
+    require(clip, job.method, method)
+    folder = out.with_name(f".{out.name}.frames") if job.format == "mp4" else out
+    _begin(clip, out, folder, job, overwrite)
+    plan = Plan(clip, job)
+    done = next((i for i in range(plan.total) if not plan.path(folder, i).is_file()), plan.total)
+    spent: list[float] = []
+    if done < plan.total:
+        images = _images(clip, plan, done, method.history, stream_with(method, device, compile))
+        for index, output in zip(progress(range(done, plan.total), plan.total - done), images, strict=True):
+            write_image(plan.path(folder, index), output.image)
+            spent += [output.milliseconds] if output.generated else []
+    if job.format == "mp4" and not out.is_file():
+        encode([plan.path(folder, i) for i in range(plan.total)], out, plan.fps)
+        shutil.rmtree(folder)
+    wait = latency(job.rate, job.mode) * job.rate / plan.fps * 1e3
+    mean = sum(spent) / len(spent) if spent else 0.0
+    return Made(out, plan.total, len(clip), plan.fps, done, mean, wait)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Where each image of the output comes from."""
+
+    clip: Clip
+    job: Job
+
+    @property
+    def rate(self) -> int:
+        """Images for each shaded frame."""
+        return 1 if self.job.mode == "pass" else self.job.rate
+
+    @property
+    def total(self) -> int:
+        """Images in the output, from the first shaded frame to the last."""
+        return self.rate * (len(self.clip) - 1) + 1
+
+    @property
+    def fps(self) -> float:
+        """Images a second, so that the shot keeps its length."""
+        times = [record.time for record in self.clip.shown]
+        gap = (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else 1.0
+        return self.clip.fps / gap * self.rate
+
+    def path(self, folder: Path, index: int) -> Path:
+        """File of an image, numbered from 1."""
+        return folder / f"{index + 1:04d}.{'exr' if self.job.format == 'exr' else 'png'}"
+
+    def entry(self, index: int, history: int | None) -> int:
+        """Shaded frame at which a run has to start so that image `index` comes out as in a run from the beginning."""
+        shaded = index // self.rate
+        if history is not None:
+            return max(shaded - history + 1, 0)
+        return next((i for i in range(shaded, -1, -1) if self.clip.is_cut(i)), 0)
+
+
+def stream_with(method: object, device: str, compile: bool) -> Callable[[Iterable[list[Frame]]], Iterator[Output]]:
+    """`runtime.stream` with everything but the frames."""
+    return lambda groups: stream(method, groups, device=device, compile=compile)  # type: ignore[arg-type]
+
+
+def _images(
+    clip: Clip, plan: Plan, first: int, history: int | None, run: Callable[[Iterable[list[Frame]]], Iterator[Output]]
+) -> Iterator[Output]:
+    """Images from index `first` on. A run that goes on starts early enough to know what came before."""
+    start = plan.entry(first, history)
+    frames = (clip[i] for i in range(start, len(clip)))
+    groups = schedule(frames, plan.rate, plan.job.mode, first=start)
+    return islice(run(groups), first - start * plan.rate, None)
+
+
+def _begin(clip: Clip, out: Path, folder: Path, job: Job, overwrite: bool) -> None:
+    """Make sure that the output is empty or an interrupted run of the same job."""
+    if overwrite:
+        shutil.rmtree(folder, ignore_errors=True)
+        if out.is_dir() and not out.is_symlink():
+            shutil.rmtree(out)
+        else:
+            out.unlink(missing_ok=True)
+    asked = json.dumps({"job": asdict(job), "clip": str(clip.path.resolve()), "frames": _identity(clip)}, indent=1)
+    mark = folder / "job.json"
+    if out.is_file():
+        raise ClipError(f"{out} exists already; give another name with -o, or pass --overwrite")
+    if mark.is_file() and mark.read_text() == asked:
+        return
+    if folder.is_dir() and any(folder.iterdir()):
+        raise ClipError(f"{folder} exists already and is not this job; give another name with -o, or pass --overwrite")
+    with exr.whole(mark) as temporary:
+        temporary.write_text(asked)
+
+
+def _identity(clip: Clip) -> list[list[float]]:
+    """Changes when frames of the clip are added, removed or moved in time."""
+    return [[record.number, record.time] for record in clip.shown]
+
+
+def write_image(path: Path, image: Float[Tensor, "1 3 H W"]) -> None:
+    """A linear image as half-float EXR, or as 8-bit PNG after the display transform; the whole file or nothing."""
+    if path.suffix == ".exr":
+        pixels = image[0].clamp(max=65504).half().cpu().numpy()
+        exr.write(path, dict(zip("RGB", pixels, strict=True)))
+        return
+    codes = (to_display(image[0].float()) * 255 + 0.5).byte().permute(1, 2, 0).cpu().numpy()
+    with exr.whole(path) as temporary:
+        Image.fromarray(np.ascontiguousarray(codes)).save(temporary)
+
+
+def encode(images: list[Path], out: Path, fps: float) -> None:
+    """PNG files as an H.264 film (MPEG-4 where the codec is missing); odd sizes repeat their last row or column."""
+    codec, options = ("libx264", {"crf": "16"}) if "libx264" in av.codecs_available else ("mpeg4", {"qscale": "2"})
+    width, height = Image.open(images[0]).size
+    with exr.whole(out) as temporary, av.open(str(temporary), "w", format="mp4") as container:
+        film: Any = container.add_stream(codec, rate=Fraction(fps).limit_denominator(1001), options=options)
+        film.width, film.height, film.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
+        for path in images:
+            pixels = np.pad(np.asarray(Image.open(path)), ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+            container.mux(film.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+        container.mux(film.encode(None))
