@@ -85,7 +85,7 @@ def hangar(seed: int) -> Scene:
             reach=22.0,
         ),
     )
-    eye = aim((rng.uniform(-0.6, 0.6), 1.55, 4.9), (rng.uniform(-0.4, 0.4), 1.5, -4.5))
+    eye = aim((rng.uniform(-0.6, 0.6), 1.5, 4.1), (rng.uniform(-0.4, 0.4), 1.5, -4.5))
     light = room(
         (0.42, 0.45, 0.50),
         (0.20, 0.21, 0.23),

@@ -76,18 +76,18 @@ def harbor(seed: int) -> Scene:
         angle = side * (0.34 - 0.006 * time)
         return aim((12.0 * np.sin(angle), 3.0, -1 + 11.0 * np.cos(angle)), (-0.4, 1.9, -3.5))
 
-    sky = dome(rgb("3f6cb4"), rgb("f0b98c"), rgb("8a7268"), -sun_travel(low, west), (5.0, 2.6, 1.2))
+    sky = dome(rgb("3f6cb4"), rgb("f0b98c"), rgb("8a7268"), -sun_travel(low, west), (3.8, 2.0, 0.9))
     return Scene(
         name="harbor",
         instances=tuple(instances),
         lights=(
-            Light("sun", (1.0, 0.66, 0.38), 4.5, sun, radius=0.01),
+            Light("sun", (1.0, 0.66, 0.38), 5.5, sun, radius=0.01),
             Light("spot", (1.0, 0.95, 0.8), 900.0, beam, radius=0.2, inner_cone=0.10, outer_cone=0.2, reach=60.0),
         ),
         camera=Camera(camera, np.radians(52)),
-        sky=Sky(veiled(rng, sky, (1.0, 0.58, 0.45), 0.5)),
+        sky=Sky(veiled(rng, sky, (0.85, 0.52, 0.42), 0.45)),
         exposure=lambda time: 0.85,
-        haze=0.006,
+        haze=0.003,
         shadow_distance=45.0,
         split="test",
     )

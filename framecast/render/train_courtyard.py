@@ -32,7 +32,7 @@ Parts = list[tuple[Mesh, Material]]
 def courtyard(seed: int) -> Scene:
     """A walled court: arcades, a fountain, a tree in the wind, washing on a line, a walker, a moving sun, an orbit."""
     rng = np.random.default_rng([seed, 1])
-    wall = plaster(rng, rgb(["d9b382", "d8a07a", "cdb79a", "c9806a"][seed % 4]))
+    wall = plaster(rng, rgb(["d9b382", "d8946a", "d6b26a", "c9806a"][seed % 4]))
     stone = plaster(rng, rgb("cfc4ae"))
     parts: Parts = [(level(26, 26, 2.6), cobbles(rng, rgb("a39a8c")))]
     roof = roof_tiles(rng, rgb("b5613f"))

@@ -54,6 +54,7 @@ def neon(seed: int) -> Scene:
                     inner_cone=0.5,
                     outer_cone=1.25,
                     reach=12.0,
+                    casts_shadow=k < 2,
                 )
             )
     parts += [

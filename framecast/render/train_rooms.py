@@ -76,7 +76,7 @@ def workshop(seed: int) -> Scene:
         ),
         camera=Camera(camera, np.radians(58)),
         sky=Sky(room((0.12, 0.12, 0.14), (0.24, 0.20, 0.17), (0.18, 0.14, 0.10)), sun_disc=False),
-        exposure=lambda time: 1.0,
+        exposure=lambda time: 1.35,
     )
 
 
