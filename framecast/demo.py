@@ -1,0 +1,128 @@
+"""The main job on the clip that ships with the package: every second frame is hidden, made again and compared."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image, ImageDraw, ImageFont
+from torch import Tensor
+from tyro.conf import arg
+
+from framecast.clip import Clip, open_clip
+from framecast.color import to_display
+from framecast.exr import whole
+from framecast.fit import method_named
+from framecast.metrics import psnr
+from framecast.runtime import schedule, stream
+from framecast.upsample import encode
+
+HARBOUR = Path(__file__).parent / "shots" / "harbour"
+"""Nine frames of an evening harbour, rendered with Blender by `examples/blender/demo_scene.py`."""
+
+LOOPS = 5
+"""How often the film goes back and forth, so that half a second can be judged."""
+
+Out = Annotated[Path, arg(aliases=["-o"])]
+Panel = tuple[str, Float[Tensor, "1 3 h w"]]
+
+
+def demo(out: Out = Path("demo-out"), clip: Path = HARBOUR, method: str = "mobfgsr") -> None:
+    """Double the frame rate of the clip that ships with framecast, and compare with the frames that were hidden.
+
+    Writes a film (every second frame held, beside the doubled rate) and a picture of one frame, and prints PSNR.
+
+    Args:
+        out: folder for the film and the picture; files of an earlier demo are replaced.
+        clip: another clip with all of its frames.
+        method: how the hidden frames are made.
+    """
+    full = open_clip(clip)
+    made = generated(full, method)
+    hidden = {t: full[t].color for t in range(1, len(full), 2)}
+    print(
+        f"{clip.name}: {len(full)} frames of {full.size[1]}x{full.size[0]}, every second one hidden, made by {method}\n"
+    )
+    print("hidden frame   held   mixed   framecast   (PSNR in dB)")
+    scores = [[quality(image, hidden[t]) for _, image in guesses(full, made, t)] for t in sorted(hidden)]
+    for t, row in zip(sorted(hidden), scores, strict=True):
+        print(f"{t + 1:12} {row[0]:6.2f} {row[1]:7.2f} {row[2]:11.2f}")
+    held, mixed, ours = np.mean(scores, axis=0)
+    print(f"{'mean':>12} {held:6.2f} {mixed:7.2f} {ours:11.2f}")
+    print(f"\n{picture(out, full, made)}\n{film(out, full, made)}")
+    print(
+        f"framecast: {len(hidden)} frames made from their neighbours, "
+        f"{ours - held:.1f} dB closer to the hidden ones than the last frame held"
+    )
+
+
+def generated(full: Clip, method: str) -> dict[int, Float[Tensor, "1 3 h w"]]:
+    """Images of the half-rate view at full rate, by frame."""
+    made = method_named(method)
+    view = full.every(2, motion="step" if made.step_motion and "motion_next" in full.layers else "gap")
+    groups = schedule((view[i] for i in range(len(view))), 2, "interpolate")
+    return {round(o.time): o.image for o in stream(made, groups)}
+
+
+def guesses(full: Clip, made: dict[int, Tensor], t: int) -> list[Panel]:
+    """What one could show in place of hidden frame `t`."""
+    before, after = present(full, t - 1), present(full, t + 1)
+    return [("last frame held", before), ("both mixed", (before + after) / 2), ("framecast", made[t])]
+
+
+def present(full: Clip, t: int) -> Float[Tensor, "1 3 h w"]:
+    """Colour of a shaded frame."""
+    color = full[t].color
+    assert color is not None
+    return color
+
+
+def quality(image: Tensor, truth: Tensor | None) -> float:
+    """PSNR as displayed, dB."""
+    assert truth is not None
+    return float(psnr(to_display(image), to_display(truth)))
+
+
+def picture(out: Path, full: Clip, made: dict[int, Tensor]) -> Path:
+    """The hidden frame in the middle of the clip and three guesses at it, side by side in two rows."""
+    t = len(full) // 2 // 2 * 2 + 1
+    truth = present(full, t)
+    panels = [(f"{name}, {quality(image, truth):.1f} dB", image) for name, image in guesses(full, made, t)]
+    rows = [tiled(panels[:2]), tiled([panels[2], ("hidden frame", truth)])]
+    path = out / "side-by-side.png"
+    with whole(path) as temporary:
+        Image.fromarray(np.concatenate(rows)).save(temporary)
+    return path
+
+
+def film(out: Path, full: Clip, made: dict[int, Tensor]) -> Path:
+    """Every second frame held, beside the doubled rate; back and forth at the clip's own speed."""
+    names = (f"shaded, {full.fps / 2:g} a second", f"framecast, {full.fps:g} a second")
+    order = [*range(len(full)), *range(len(full) - 2, 0, -1)] * LOOPS
+    folder, path = out / ".film", out / "harbour.mp4"
+    for t in range(len(full)):
+        panels = list(zip(names, (present(full, t // 2 * 2), made[t]), strict=True))
+        with whole(folder / f"{t:04d}.png") as temporary:
+            Image.fromarray(tiled(panels)).save(temporary)
+    encode([folder / f"{t:04d}.png" for t in order], path, full.fps)
+    for t in range(len(full)):
+        (folder / f"{t:04d}.png").unlink()
+    folder.rmdir()
+    return path
+
+
+def tiled(panels: Sequence[Panel]) -> np.ndarray:
+    """Images side by side as displayed, 8 bits, each with its name in the corner."""
+    font = ImageFont.load_default(size=15)
+    tiles = []
+    for name, image in panels:
+        codes = (to_display(image[0]) * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
+        tile = Image.fromarray(np.ascontiguousarray(codes))
+        draw = ImageDraw.Draw(tile)
+        box = draw.textbbox((8, 6), name, font=font)
+        draw.rectangle((box[0] - 5, box[1] - 4, box[2] + 5, box[3] + 4), fill=(16, 16, 20))
+        draw.text((8, 6), name, font=font, fill=(240, 240, 240))
+        tiles.append(np.asarray(tile))
+    return np.concatenate(tiles, 1)
