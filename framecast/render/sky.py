@@ -70,23 +70,32 @@ def _solid_angles(height: int, width: int) -> Float[Array, " n"]:
     return np.repeat((edges[:-1] - edges[1:]) * 2 * np.pi / width, width)
 
 
+@functools.lru_cache(maxsize=1)
+def _cosines(height: int, width: int) -> tuple[Array, Array]:
+    """Cosines between the directions of a layer and those of an image, and the solid angles of the latter, float32."""
+    cosine = directions(*TABLE).astype(np.float32) @ directions(height, width).astype(np.float32).T
+    return cosine, _solid_angles(height, width).astype(np.float32)
+
+
+def _weighted(image: Float[Array, "h w 3"], weight: Float[Array, "n m"]) -> Float[Array, "32 64 3"]:
+    mean = weight @ image.reshape(-1, 3).astype(np.float32) / weight.sum(1, keepdims=True)
+    return mean.reshape(*TABLE, 3)
+
+
 def blur(image: Float[Array, "h w 3"], roughness: float) -> Float[Array, "32 64 3"]:
     """The image as a rough reflector sees it that is looked at from straight above (the split-sum approximation).
 
     Every light direction weighs D(h) n.l, D the GGX distribution for alpha = roughness^2.
     """
-    out, source = directions(*TABLE), directions(*image.shape[:2])
-    cosine = out @ source.T
-    half = np.sqrt(np.clip((1 + cosine) / 2, 0, 1))
-    alpha2 = roughness**4
-    weight = np.maximum(cosine, 0) / (half**2 * (alpha2 - 1) + 1) ** 2 * _solid_angles(*image.shape[:2])
-    return (weight @ image.reshape(-1, 3) / weight.sum(1, keepdims=True)).reshape(*TABLE, 3)
+    cosine, solid = _cosines(*image.shape[:2])
+    spread = 1 - (1 - np.float32(roughness**4)) * (1 + cosine) / 2
+    return _weighted(image, np.maximum(cosine, 0) / (spread * spread) * solid)
 
 
 def irradiance(image: Float[Array, "h w 3"]) -> Float[Array, "32 64 3"]:
     """Irradiance / pi of surfaces facing each direction: a uniform sky gives its own radiance."""
-    weight = np.maximum(directions(*TABLE) @ directions(*image.shape[:2]).T, 0) * _solid_angles(*image.shape[:2])
-    return (weight @ image.reshape(-1, 3) / weight.sum(1, keepdims=True)).reshape(*TABLE, 3)
+    cosine, solid = _cosines(*image.shape[:2])
+    return _weighted(image, np.maximum(cosine, 0) * solid)
 
 
 @functools.cache
