@@ -85,7 +85,7 @@ def harbor(seed: int) -> Scene:
             Light("spot", (1.0, 0.95, 0.8), 900.0, beam, radius=0.2, inner_cone=0.10, outer_cone=0.2, reach=60.0),
         ),
         camera=Camera(camera, np.radians(52)),
-        sky=Sky(veiled(rng, sky, (0.85, 0.52, 0.42), 0.45)),
+        sky=Sky(veiled(rng, sky, (0.85, 0.56, 0.46), 0.2)),
         exposure=lambda time: 0.85,
         haze=0.003,
         shadow_distance=45.0,
