@@ -5,8 +5,9 @@ Paper:    Yang, Zhu, Zhuge, Qiu, Li, Yan, Xu, Yan, Jin: Mob-FGSR, Frame Generati
 Follows:  section 3.3 (quadratic motion, nearest-depth splat, refinement of gaps) and 3.4 (interpolation with Eq. 1,
           extrapolation with disocclusion filling). Super-resolution (3.5) is not here yet.
 Differs:  each choice measured in docs/results/frame-generation.md.
-          True motion: where frames carry `motion_next`, paths go through the recorded positions before and after;
-          the paper's estimate from two earlier vectors is `Config(motion="quadratic")`.
+          True motion: where frames carry `motion_next`, paths go through the recorded positions before and after,
+          and for interpolation the earlier frame is splatted too, which the paper cannot do: it knows no vectors
+          forward. The paper's estimate from two earlier vectors is `Config(motion="quadratic")`.
           The older vector counts only where it belongs to the same surface (depth within a tenth, on screen);
           elsewhere motion is straight. The paper does not say, the public code reads whatever is there.
           Depth thresholds are relative, so that they do not depend on the scene's unit.
@@ -164,17 +165,43 @@ def refine(keys: Int[Tensor, "b h w"], threshold: float) -> Int[Tensor, "b h w"]
     return torch.where(keep, keys, nearest)
 
 
+@dataclass(frozen=True)
+class Arrivals:
+    """What a shaded frame sends to each pixel of the generated one."""
+
+    depth: Float[Tensor, "b 1 h w"]
+    """Depth of what arrived; infinite where nothing did."""
+    to_own: Float[Tensor, "b 2 h w"]
+    """From the pixel to where it came from, pixels."""
+    to_other: Float[Tensor, "b 2 h w"]
+    """From the pixel to where the same path was in the other shaded frame."""
+
+
+def arrivals(frame: Frame, moving: Trajectory, time: Tensor, other: Tensor, threshold: float) -> Arrivals:
+    """A frame's pixels splatted along their paths to `time`, gaps closed; `other` is the other frame's time."""
+    to_time = moving.displacement(time - frame.time)
+    across = moving.displacement(other - frame.time)
+    keys = refine(splat(present(frame.depth), to_time), threshold)
+    source = key_index(keys)
+    to_own = -pick(to_time, source)
+    return Arrivals(key_depth(keys), to_own, to_own + pick(across, source))
+
+
 def interpolate(state: Pair, time: Float[Tensor, " b"], config: Config) -> Float[Tensor, "b 3 h w"]:
     """The image at `time` between the two shaded frames."""
     previous, current = state.prev, state.current
-    moving = path(current, previous)
-    to_time = moving.displacement(time - current.time)
-    across = moving.displacement(previous.time - current.time)
-    keys = refine(splat(present(current.depth), to_time), config.gap_threshold)
-    source, landed = key_index(keys), (keys != EMPTY)[:, None]
-    to_current = -pick(to_time, source)
-    to_previous = to_current + pick(across, source)
-    # Nothing landed: the background that the previous frame saw, on a straight path.
+    late = arrivals(current, path(current, previous), time, previous.time, config.gap_threshold)
+    depth, to_previous, to_current = late.depth, late.to_other, late.to_own
+    if previous.motion_next is not None:
+        # Both frames know where their pixels go. One surface: each frame's own place. Two: the farther, as in Eq. 1.
+        early = arrivals(previous, path(previous, previous), time, current.time, config.gap_threshold)
+        same = (early.depth / late.depth - 1).abs() < config.depth_threshold
+        use_late = torch.isfinite(late.depth) & ((late.depth >= early.depth) | torch.isinf(early.depth))
+        depth = torch.where(use_late, late.depth, early.depth)
+        to_previous = torch.where(use_late & ~same, late.to_other, early.to_own)
+        to_current = torch.where(use_late | same, late.to_own, early.to_other)
+    # Nothing arrived: the background that the previous frame saw, on a straight path.
+    landed = torch.isfinite(depth)
     speed = -present(previous.motion) / _wide(previous.span)
     to_current = torch.where(landed, to_current, speed * _wide(current.time - time))
     to_previous = torch.where(landed, to_previous, speed * _wide(previous.time - time))
