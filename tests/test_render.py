@@ -14,6 +14,7 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 from framecast import clip, exr
 from framecast.frame import SKY, Frame, camera_motion
 from framecast.render import device, make, reference, shadows
+from framecast.render.command import command
 from framecast.render.geometry import shape, smooth_normals
 from framecast.render.renderer import Renderer, changes
 from framecast.render.scene import Camera, Instance, Light, LightPose, Material, Mesh, Mirror, Pose, Scene, Sky, Texture
@@ -595,6 +596,22 @@ def test_errors_are_sentences(monkeypatch, tmp_path: Path):
     monkeypatch.setattr(wgpu.gpu, "enumerate_adapters_sync", list)
     with pytest.raises(FileNotFoundError, match="apt install mesa-vulkan-drivers"):
         device.open_device.__wrapped__()
+
+
+def test_command_lists_scenes_and_reads_sizes(capsys, small, tmp_path: Path):
+    command(list=True)
+    assert "courtyard" in capsys.readouterr().out
+    command("busy", tmp_path / "clip", size="32x24", scale=1.0, frames=1, samples=0)
+    assert "1 frame, 32x24" in capsys.readouterr().out
+    with pytest.raises(ValueError, match="size is WIDTHxHEIGHT"):
+        command("busy", tmp_path / "other", size="wide")
+    with pytest.raises(ValueError, match="name a scene"):
+        command()
+
+
+def test_split_of_the_list_is_that_of_the_scenes():
+    for name, split, _ in make.listing()[::5]:
+        assert make.load(name).split == split
 
 
 def test_web_limits():

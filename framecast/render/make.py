@@ -75,13 +75,12 @@ def load(source: str, seed: int = 0) -> Scene:
     return SCENES[source](seed)
 
 
-def listing() -> list[tuple[str, str, int, str]]:
-    """Name, split, suggested length and description of every scene."""
-    from framecast.render.scenes import SCENES
+def listing() -> list[tuple[str, str, str]]:
+    """Name, split and description of every scene."""
+    from framecast.render.scenes import SCENES, TRAIN
 
-    scenes = {name: make(0) for name, make in SCENES.items()}
-    about = {name: (make.__doc__ or "").strip().splitlines() for name, make in SCENES.items()}
-    return [(name, scene.split, scene.frames, (about[name] or [""])[0]) for name, scene in scenes.items()]
+    lines = {name: (make.__doc__ or name).strip().splitlines()[0] for name, make in SCENES.items()}
+    return [(name, "train" if name in TRAIN else "test", line) for name, line in lines.items()]
 
 
 def render_clip(
