@@ -11,10 +11,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from framecast.clip import Clip, check
+from framecast.demo import demo
 from framecast.evaluate import command as evaluate
 from framecast.fit import method_named
 from framecast.importers import describe, open_any, repairs, save
 from framecast.methods import METHODS
+from framecast.render.command import command as render
 from framecast.runtime import Mode
 from framecast.upsample import Format, Job
 from framecast.upsample import upsample as run_upsample
@@ -123,6 +125,8 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "import": import_shot,
     "check": check_clip,
     "evaluate": evaluate,
+    "render": render,
+    "demo": demo,
 }
 
 
