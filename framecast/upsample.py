@@ -194,7 +194,8 @@ def write_image(path: Path, image: Float[Tensor, "1 3 H W"]) -> None:
 def encode(images: list[Path], out: Path, fps: float) -> None:
     """PNG files as an H.264 film (MPEG-4 where the codec is missing); odd sizes repeat their last row or column."""
     codec, options = ("libx264", {"crf": "16"}) if "libx264" in av.codecs_available else ("mpeg4", {"qscale": "2"})
-    width, height = Image.open(images[0]).size
+    with Image.open(images[0]) as first:
+        width, height = first.size
     with exr.whole(out) as temporary, av.open(str(temporary), "w", format="mp4") as container:
         film: Any = container.add_stream(codec, rate=Fraction(fps).limit_denominator(1001), options=options)
         film.width, film.height, film.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
