@@ -5,6 +5,7 @@ out/job.json         what was asked for, so that the same command goes on and an
 out.mp4              the same as a film; its frames lie in a folder beside it until it is complete
 """
 
+import contextlib
 import json
 import shutil
 from collections.abc import Callable, Iterable, Iterator
@@ -93,9 +94,10 @@ def upsample(
     spent: list[float] = []
     if done < plan.total:
         images = _images(clip, plan, done, method.history, stream_with(method, device, compile))
-        for index, output in zip(progress(range(done, plan.total), plan.total - done), images, strict=True):
-            write_image(plan.path(folder, index), output.image)
-            spent += [output.milliseconds] if output.generated else []
+        with _nothing_left_of_nothing(folder):
+            for index, output in zip(progress(range(done, plan.total), plan.total - done), images, strict=True):
+                write_image(plan.path(folder, index), output.image)
+                spent += [output.milliseconds] if output.generated else []
     if job.format == "mp4" and not out.is_file():
         encode([plan.path(folder, i) for i in range(plan.total)], out, plan.fps)
         shutil.rmtree(folder)
@@ -173,6 +175,17 @@ def _begin(clip: Clip, out: Path, folder: Path, job: Job, overwrite: bool) -> No
         raise ClipError(f"{folder} exists already and is not this job; give another name with -o, or pass --overwrite")
     with exr.whole(mark) as temporary:
         temporary.write_text(asked)
+
+
+@contextlib.contextmanager
+def _nothing_left_of_nothing(folder: Path) -> Iterator[None]:
+    """Removes the folder again where a run fails before its first image."""
+    try:
+        yield
+    except BaseException:
+        if not any(folder.glob("[0-9]*")):
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 def _identity(clip: Clip) -> list[list[float]]:

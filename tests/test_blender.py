@@ -1,6 +1,7 @@
 """Blender shots as clips: real renders against values known on paper, and all that can be wrong with a folder."""
 
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 import torch
 
 from framecast import exr
+from framecast.cli import main
 from framecast.clip import ClipError, check
 from framecast.frame import SKY, camera_motion, world_position
 from framecast.importers import open_any, repairs, save
@@ -387,6 +389,22 @@ def test_what_is_wrong_is_said_in_one_sentence(name: str, tmp_path: Path) -> Non
         save(open_any(tmp_path / "shot"), tmp_path / "clip")
     assert "\n" not in str(caught.value)
     assert [p.name for p in tmp_path.iterdir()] == ["shot"]
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_the_command_line_says_it_and_leaves_nothing(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make, words = BROKEN[name]
+    make(tmp_path / "shot")
+    for command in ("import", "upsample"):
+        assert main([command, str(tmp_path / "shot"), "-o", str(tmp_path / "out")]) == 2
+        error = capsys.readouterr().err
+        assert re.search(words, error)
+        assert error.count("\n") == 1
+        made = [path for path in tmp_path.rglob("*") if "shot" not in path.parts]
+        assert all(exr.read(path).size for path in made if path.suffix == ".exr")
+        assert not made or "pass lost" in name or "truncated" in name, made
 
 
 def test_no_such_folder(tmp_path: Path) -> None:
