@@ -1,13 +1,16 @@
 """How a method is trained: the part of training that belongs to the method, written in its file."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from torch import Tensor
 
-Loss = Callable[[Any, Any, Any, Tensor], dict[str, Tensor]]
-"""(method, frame to generate, state, true colour) -> the terms of the loss by name, scalars; their sum is minimised."""
+from framecast.frame import Frame
+
+Loss = Callable[[Any, Sequence[Frame], Tensor], dict[str, Tensor]]
+"""(method, frames in arrival order, truth of the last one) -> terms of the loss by name, scalars; their sum is
+minimised. The last frame is to be generated."""
 
 
 @dataclass(frozen=True)
@@ -15,8 +18,10 @@ class Recipe:
     """Loss, samples, optimiser and schedule; the defaults are ExtraNet's where it says."""
 
     loss: Loss
+    mode: Literal["extrapolate", "interpolate"] = "extrapolate"
+    """The frame to generate follows the last shaded one, or lies before it."""
     shaded: int = 3
-    """Shaded frames of a sample, every second frame of the clip; the frame after the last of them is generated."""
+    """Shaded frames of a sample, every second frame of the clip."""
     crop: tuple[int, int] = (256, 256)
     """Height and width of a sample, pixels; smaller where the clip is smaller."""
     batch: int = 8

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from passing import H, W, shot
 from torch import Tensor, nn
 
 from framecast.frame import SKY, Frame, concatenate, perspective, unshaded
@@ -23,53 +24,6 @@ from framecast.methods.reproject import geometry, light, occluder_motion, steps,
 from framecast.methods.warps import OcclusionWarp, Warp
 from framecast.nets import multiply_accumulates, parameters
 from framecast.warp import chain, inside
-
-H, W = 24, 40
-
-
-def texture(x: Tensor, y: Tensor) -> Tensor:
-    """Colour of the wall at a place of it, in pixels."""
-    return torch.stack((0.5 + 0.3 * torch.sin(x * 0.4), 0.5 + 0.3 * torch.cos(y * 0.5), 0.4 + 0.2 * torch.sin(x + y)))
-
-
-def shot(
-    time: float,
-    *,
-    speed: float = 3.0,
-    square: float | None = None,
-    jitter: tuple[float, float] = (0.0, 0.0),
-    span: float = 2.0,
-) -> Frame:
-    """A textured wall at depth 5 that an orthographic camera sees pass by, `speed` pixels a frame to the right.
-
-    `square`: a grey square of 8 pixels at depth 2, object 7, moving that many pixels a frame from column 4.
-    """
-    y, x = torch.meshgrid(torch.arange(H) + 0.5 + jitter[1], torch.arange(W) + 0.5 + jitter[0], indexing="ij")
-    color = texture(x - speed * time, y)
-    hit = torch.zeros(H, W, dtype=torch.bool)
-    if square is not None:
-        left = 4 + square * time
-        hit = (x >= left) & (x < left + 8) & (y >= 8) & (y < 16)
-    motion = torch.stack((torch.where(hit, -(square or 0.0) * span, -speed * span), torch.zeros(H, W)))
-    view = torch.eye(4)
-    view[0, 3] = speed * time  # the wall stands still in the world, the camera moves past it, one unit a pixel
-    projection = torch.diag(torch.tensor([2 / W, 2 / H, -0.01, 1.0]))
-    return Frame(
-        color=torch.where(hit, torch.tensor(0.05), color)[None],
-        depth=torch.where(hit, 2.0, 5.0)[None, None],
-        motion=motion[None],
-        albedo=torch.full((1, 3, H, W), 0.5),
-        normal=torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).expand(1, 3, H, W).contiguous(),
-        roughness=torch.full((1, 1, H, W), 0.5),
-        metallic=torch.zeros(1, 1, H, W),
-        object=(hit.int() * 7)[None, None],
-        jitter=torch.tensor([jitter]),
-        view=view[None],
-        projection=projection[None],
-        time=torch.tensor([float(time)]),
-        reset=torch.tensor([time == 0]),
-        span=torch.tensor([span]),
-    )
 
 
 def fed(method: nn.Module, frames: list[Frame]) -> History:
@@ -304,10 +258,10 @@ def test_no_loss_when_nothing_changes_and_gradients_reach_every_layer() -> None:
     frames = [shot(t, speed=0) for t in (0.0, 2.0, 4.0)]
     target = shot(5.0, speed=0, span=1.0)
     method = silent()
-    terms = loss(method, unshaded(target), fed(method, frames), target.color)
+    terms = loss(method, [*frames, unshaded(target)], target.color)
     assert all(float(term.detach()) < 1e-4 for term in terms.values())
     method = ExtraNet().train()
-    sum(loss(method, unshaded(target), fed(method, frames), 2 * target.color).values()).backward()
+    sum(loss(method, [*frames, unshaded(target)], 2 * target.color).values()).backward()
     assert all(p.grad is not None and bool(torch.isfinite(p.grad).all()) for p in method.parameters())
     assert method.network.encoder is not None
     assert any(bool(p.grad.abs().sum() > 0) for p in method.network.encoder.parameters() if p.grad is not None)

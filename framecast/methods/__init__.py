@@ -7,16 +7,20 @@ the runtime compiles) and `step_motion` (whether vectors to the frames left out 
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from torch import nn
 
+from framecast.methods import extranet
 from framecast.methods.blend import Blend
 from framecast.methods.bsr import BSR
+from framecast.methods.extranet import ExtraNet
 from framecast.methods.hold import Hold
 from framecast.methods.mobfgsr import Config as MobFGSRConfig
 from framecast.methods.mobfgsr import MobFGSR
 from framecast.methods.warp3d import Warp3D
 from framecast.methods.warps import OcclusionWarp, Warp
+from framecast.recipe import Recipe
 
 METHODS: dict[str, Callable[[], nn.Module]] = {
     "hold": Hold,
@@ -28,3 +32,12 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "mobfgsr": MobFGSR,
     "mobfgsr-quadratic": lambda: MobFGSR(MobFGSRConfig(motion="quadratic")),
 }
+
+TRAINABLE: dict[str, tuple[Callable[[], nn.Module], Recipe]] = {
+    "extranet": (ExtraNet, extranet.recipe),
+    "extranet-plus": (lambda: ExtraNet(extranet.Config(scale=2)), extranet.recipe),
+    "extranet-without-history": (lambda: ExtraNet(extranet.Config(history=False)), extranet.recipe),
+    "extranet-without-occlusion": (lambda: ExtraNet(extranet.Config(occlusion=False)), extranet.recipe),
+    "extranet-without-shading": (ExtraNet, replace(extranet.recipe, loss=extranet.loss_without_shading)),
+}
+"""Networks with random weights, and their recipes; without history, occlusion and shading are the paper's ablations."""

@@ -23,6 +23,7 @@ Modes:   extrapolate
 State:   the last three shaded frames: light, surfaces, accumulated motion
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -282,10 +283,12 @@ def _where(fresh: Bool[Tensor, " b"], a: Past, b: Past) -> Past:
 # Training.
 
 
-def loss(
-    method: ExtraNet, frame: Frame, state: History, target: Float[Tensor, "b 3 H W"]
-) -> dict[str, Float[Tensor, ""]]:
+def loss(method: ExtraNet, frames: Sequence[Frame], target: Float[Tensor, "b 3 H W"]) -> dict[str, Float[Tensor, ""]]:
     """The three terms, in the log domain of light: everywhere, in holes, and where the error is largest."""
+    *shaded, frame = frames
+    state = method.start(shaded[0])
+    for past in shaded[1:]:
+        state = method.remember(past, state)
     inputs = method.prepare(frame, state, steps(frame, state.newest.shows.time, state.newest.shows.jitter))
     seen = target if method.config.scale > 1 else demodulate(target, surface(frame))
     hole = 1 - inputs.mask
@@ -293,6 +296,13 @@ def loss(
         hole = F.interpolate(hole, (target.shape[-2], target.shape[-1]))
     error = (method.predict(inputs) - encode_log(seen)).abs()
     return {"l1": error.mean(), "hole": hole_loss(error, hole), "shade": shading_loss(error)}
+
+
+def loss_without_shading(
+    method: ExtraNet, frames: Sequence[Frame], target: Float[Tensor, "b 3 H W"]
+) -> dict[str, Float[Tensor, ""]]:
+    """The ablation of the paper: no term for the largest errors."""
+    return {name: term for name, term in loss(method, frames, target).items() if name != "shade"}
 
 
 def hole_loss(error: Float[Tensor, "b 3 h w"], hole: Float[Tensor, "b 1 h w"]) -> Float[Tensor, ""]:

@@ -7,7 +7,6 @@ same sample's place on the other frame's grid of samples, so that the jitter of 
 from dataclasses import dataclass, fields
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
@@ -49,7 +48,8 @@ def geometry(frame: Frame) -> Geometry:
     assert frame.projection is not None
     position = world_position(frame.depth, frame.view, jittered(frame))
     eye = torch.linalg.inv(frame.view)[:, :3, 3, None, None]
-    facing = (frame.normal * F.normalize(eye - position, dim=1)).sum(1, keepdim=True).abs()
+    to_eye = eye - position
+    facing = (frame.normal * to_eye).sum(1, keepdim=True).abs() / squared(to_eye).sqrt().clamp(min=1e-6)
     return Geometry(frame.depth, position, frame.normal, frame.object, facing, frame.jitter, frame.time)
 
 
@@ -98,19 +98,24 @@ def valid(now: Geometry, past: Geometry, motion: Float[Tensor, "b 2 h w"]) -> Bo
     read mixes (with at least one hundredth) has to agree in object and position.
     """
     turned = warp(past.normal, motion)
-    length = turned.norm(dim=1, keepdim=True) * now.normal.norm(dim=1, keepdim=True)
+    length = (squared(turned) * squared(now.normal)).sqrt()
     cosine = (turned * now.normal).sum(1, keepdim=True) / length.clamp(min=1e-6)
     same_normal = (cosine >= 0.98) | (length < 1e-6)
-    limit = tolerance(now)
+    limit = tolerance(now).square()
     same_object, same_position = torch.ones_like(same_normal), torch.ones_like(same_normal)
     for dy in (-0.49, 0.49):
         for dx in (-0.49, 0.49):
             tap = landing(motion + torch.tensor([dx, dy], device=motion.device)[:, None, None])
             same_object = same_object & (pick(past.object, tap) == now.object)
-            away = (pick(past.position, tap) - now.position).norm(dim=1, keepdim=True)
-            same_position = same_position & (away <= limit)
+            same_position = same_position & (squared(pick(past.position, tap) - now.position) <= limit)
     same = torch.where(fetch(past.object, motion) == 0, same_position, same_normal)
     return same_object & same & inside(motion)
+
+
+def squared(vectors: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 1 h w"]:
+    """Squared length, plane by plane: many times faster than `norm` over three channels."""
+    x, y, z = vectors.unbind(1)
+    return (x * x + y * y + z * z)[:, None]
 
 
 def tolerance(now: Geometry) -> Float[Tensor, "b 1 h w"]:

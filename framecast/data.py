@@ -1,0 +1,309 @@
+"""Training samples: crops in space and time, read from a cache that is mapped into memory.
+
+    cache/street-1a2b3c4d/color.npy ...   one array n c h w for each layer of the clip, n its frames
+    cache/street-1a2b3c4d/cache.json      fingerprint of the clip; written last
+
+The cache may be deleted at any time and is made again when the clip changes. A crop is a `Clip` of its own whose
+frames read nothing else, so the half-rate view, cuts and bridged motion are those of `clip.py`. What a sample is
+follows from the seed and its number alone, whichever process makes it.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from rich.progress import track
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from framecast.clip import HALF, Clip, ClipError, Layers, Record
+from framecast.frame import BUFFERS, Frame, concatenate, unshaded
+from framecast.recipe import Recipe
+
+VERSION = 1
+
+Flip = Literal["horizontal", "vertical", "transpose"]
+
+
+@dataclass(frozen=True)
+class Footage:
+    """A clip whose pixels can be read in parts."""
+
+    clip: Clip
+    arrays: Mapping[str, np.ndarray]
+    """Layers of all frames, n c h w, under the names of `Frame`, `motion2` and `reference`."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Samples of equal size: frames in arrival order, and what the last one should be."""
+
+    frames: tuple[Frame, ...]
+    """The last one is to be generated."""
+    target: Float[Tensor, "b 3 H W"]
+    names: tuple[str, ...]
+    """Where each sample was taken from, for people."""
+
+
+# The cache.
+
+
+def cache_folder() -> Path:
+    """Where caches lie unless told otherwise: the user's cache folder."""
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "framecast" / "clips"
+
+
+def footage(clip: Clip, folder: Path | None = None) -> Footage:
+    """The clip with its pixels in the cache under `folder`, made now where it is not there or the clip has changed.
+
+    Raises:
+        ClipError: a frame cannot be read, or the cache cannot be written.
+    """
+    where = clip.path.resolve()
+    digest = hashlib.sha256(str(where).encode()).hexdigest()[:8]
+    home = (folder or cache_folder()) / f"{where.name}-{digest}"
+    mark = fingerprint(clip)
+    arrays = _opened(home, mark)
+    if arrays is None:
+        _write(clip, home, mark)
+        arrays = _opened(home, mark)
+    if arrays is None:
+        raise ClipError(f"{home} changed while it was read; delete it and run the same command again")
+    return Footage(clip, arrays)
+
+
+def fingerprint(clip: Clip) -> str:
+    """Changes whenever a file of the clip, its records or the form of the cache changes."""
+    files = sorted(path for path in clip.path.rglob("*") if path.is_file())
+    stats = [(str(p.relative_to(clip.path)), p.stat().st_size, p.stat().st_mtime_ns) for p in files]
+    text = json.dumps([VERSION, stats, clip.layers, [asdict(r) for r in clip.shown]], default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _opened(home: Path, mark: str) -> dict[str, np.ndarray] | None:
+    """The mapped arrays, or None where there are none, or others, or damaged ones."""
+    try:
+        about = json.loads((home / "cache.json").read_text())
+        if about["fingerprint"] != mark:
+            return None
+        return {name: np.load(home / f"{name}.npy", mmap_mode="r") for name in about["layers"]}
+    except (OSError, ValueError, KeyError):
+        return None
+
+
+def _write(clip: Clip, home: Path, mark: str) -> None:
+    """Files are written in order, not mapped: a full disk is then an error and not a crash."""
+    part = home.with_name(f".{home.name}.{os.getpid()}.part")
+    names: list[str] = []
+    try:
+        part.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as stack:
+            files = {}
+            for index, record in enumerate(track(clip.shown, f"cache {home.name}", transient=True)):
+                for name, pixels in _stored(clip, index, record).items():
+                    if index == 0:
+                        files[name] = stack.enter_context((part / f"{name}.npy").open("wb"))
+                        about = {"descr": pixels.dtype.str, "fortran_order": False, "shape": (len(clip), *pixels.shape)}
+                        np.lib.format.write_array_header_1_0(files[name], about)
+                    files[name].write(pixels.tobytes())
+            names = list(files)
+        (part / "cache.json").write_text(json.dumps({"fingerprint": mark, "layers": names, "clip": str(clip.path)}))
+        shutil.rmtree(home, ignore_errors=True)
+        part.rename(home)
+    except OSError as error:
+        raise ClipError(
+            f"cannot write the training cache {home}: {error.strerror}; free some space or choose another folder with "
+            f"--cache, then run the same command again"
+        ) from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _stored(clip: Clip, index: int, record: Record) -> Layers:
+    """Layers of one frame as the cache keeps them: half floats where the file has no more, ids as they are."""
+    layers = dict(clip.checked(record))
+    if clip.scale is not None and (image := clip.reference(index)) is not None:
+        layers["reference"] = image[0].numpy()
+    kinds: dict[str, type[np.generic]] = {
+        name: np.float16 if name in {*HALF, "reference"} else np.float32 for name in layers
+    }
+    if "object" in layers:
+        kinds["object"] = np.int32
+    limited = {n: np.clip(v, -65504, 65504) if kinds[n] is np.float16 else v for n, v in layers.items()}
+    return {name: np.ascontiguousarray(pixels, dtype=kinds[name]) for name, pixels in limited.items()}
+
+
+# Crops.
+
+
+def window(source: Footage, corner: tuple[int, int], size: tuple[int, int], names: Sequence[str] = ()) -> Clip:
+    """The part of the clip below and to the right of `corner` (row, column), with cameras that see just that part.
+
+    Args:
+        names: the layers to read; empty: all of them.
+    """
+    (top, left), (height, width) = corner, size
+    at = {record.number: index for index, record in enumerate(source.clip.shown)}
+    kept = tuple(n for n in source.arrays if n != "reference" and (not names or n in names))
+
+    def load(record: Record) -> Layers:
+        index = at[record.number]
+        return {n: np.array(source.arrays[n][index, :, top : top + height, left : left + width]) for n in kept}
+
+    whole = source.clip.size
+    records = tuple(_narrowed(record, corner, size, whole) for record in source.clip.shown)
+    return replace(source.clip, size=size, records=records, load=load, layers=kept, scale=None, kept=None)
+
+
+def _narrowed(record: Record, corner: tuple[int, int], size: tuple[int, int], whole: tuple[int, int]) -> Record:
+    """The record with the projection onto a part of the image."""
+    if record.projection is None:
+        return record
+    p = np.array(record.projection)
+    wide, high = whole[1] / size[1], whole[0] / size[0]
+    p[0] = p[0] * wide + p[3] * (wide - 1 - 2 * corner[1] / size[1])
+    p[1] = p[1] * high - p[3] * (high - 1 - 2 * corner[0] / size[0])
+    return replace(record, projection=tuple(tuple(row) for row in p.tolist()))
+
+
+# Augmentation.
+
+MIRRORS: dict[Flip, tuple[tuple[float, ...], ...]] = {
+    "horizontal": ((-1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "vertical": ((1, 0, 0), (0, -1, 0), (0, 0, 1)),
+    "transpose": ((0, -1, 0), (-1, 0, 0), (0, 0, 1)),
+}
+"""What each flip does to camera space (x right, y up), and to the world, which is mirrored with it."""
+
+
+def flipped(frame: Frame, flip: Flip) -> Frame:
+    """The frame of the mirrored world: pixels, vectors, normals, jitter and cameras turn together."""
+    mirror = torch.tensor(MIRRORS[flip], dtype=torch.float32)
+    whole = torch.block_diag(mirror, torch.ones(1, 1))
+    changes = {n: flipped_image(image, flip) for n in BUFFERS if (image := getattr(frame, n)) is not None}
+    across = torch.tensor([[1.0, -1.0], [-1.0, 1.0]]) * mirror[:2, :2]  # image y points down
+    for name in ("motion", "motion_next"):
+        if name in changes:
+            changes[name] = torch.einsum("ij,bjhw->bihw", across, changes[name])
+    if frame.normal is not None:
+        changes["normal"] = torch.einsum("ij,bjhw->bihw", mirror, changes["normal"])
+    changes["jitter"] = frame.jitter @ across.T
+    if frame.view is not None:
+        changes["view"] = whole @ frame.view @ whole
+    if frame.projection is not None:
+        changes["projection"] = whole @ frame.projection @ whole
+    return replace(frame, **changes)
+
+
+def flipped_image(image: Tensor, flip: Flip) -> Tensor:
+    """Pixels alone, b c h w."""
+    if flip == "transpose":
+        return image.transpose(-1, -2).contiguous()
+    return image.flip(-1 if flip == "horizontal" else -2)
+
+
+# Samples.
+
+
+class Samples(Dataset[Batch]):
+    """Every sample by its number; the same one for the same seed, on any machine and in any process."""
+
+    def __init__(self, sources: Sequence[Footage], recipe: Recipe, *, fields: Sequence[str], seed: int, scale: int = 1):
+        """`fields`: the buffers to read. `scale`: of the target; above 1 targets are crops of the references.
+
+        Raises:
+            ClipError: a clip lacks references that are needed, or none is long enough.
+        """
+        self.sources, self.recipe, self.seed, self.scale = sources, recipe, seed, scale
+        self.fields = (*fields, "color", "motion2")
+        self.starts = [_starts(source.clip, recipe) for source in sources]
+        if not any(self.starts):
+            raise ClipError(
+                f"none of the {len(sources)} clips holds {2 * recipe.shaded} frames of one shot, which a sample needs; "
+                f"give longer clips"
+            )
+        for source in sources:
+            if scale > 1 and source.clip.scale != scale:
+                raise ClipError(f"{source.clip.path} has no references {scale} times its size; render it with them")
+
+    def __getitem__(self, number: int) -> Batch:
+        """One sample, as a batch of one."""
+        rng = np.random.default_rng((self.seed, number))
+        sizes = [source.clip.size[0] * source.clip.size[1] for source in self.sources]
+        weights = np.array([len(starts) * size for starts, size in zip(self.starts, sizes, strict=True)], float)
+        which = int(rng.choice(len(self.sources), p=weights / weights.sum()))
+        source, start = self.sources[which], int(rng.choice(self.starts[which]))
+        size = tuple(min(a, b) for a, b in zip(self.recipe.crop, source.clip.size, strict=True))
+        corner = tuple(int(rng.integers(b - a + 1)) for a, b in zip(size, source.clip.size, strict=True))
+        frames, target = self.cut(source, start, (corner[0], corner[1]), (size[0], size[1]))
+        square: tuple[Flip, ...] = ("transpose",) if size[0] == size[1] else ()
+        for flip in (*square, "horizontal", "vertical"):
+            if rng.random() < 0.5:
+                frames, target = [flipped(frame, flip) for frame in frames], flipped_image(target, flip)
+        gain = 2.0 ** float(rng.uniform(-self.recipe.stops, self.recipe.stops))
+        bright = tuple(f if f.color is None else replace(f, color=f.color * gain) for f in frames)
+        name = f"{source.clip.path.name}, frame {source.clip.shown[start].number}, row {corner[0]}, column {corner[1]}"
+        return Batch(bright, target * gain, (name,))
+
+    def cut(
+        self, source: Footage, start: int, corner: tuple[int, int], size: tuple[int, int]
+    ) -> tuple[list[Frame], Tensor]:
+        """Frames in arrival order from one place of a clip, and the target."""
+        part = window(source, corner, size, self.fields)
+        view = part.every(2, start=start)
+        hidden = _hidden(start, self.recipe)
+        last = part[hidden]
+        assert last.color is not None
+        target = last.color
+        if self.scale > 1:
+            (top, left), (height, width) = (tuple(self.scale * v for v in pair) for pair in (corner, size))
+            pixels = source.arrays["reference"][hidden, :, top : top + height, left : left + width]
+            target = torch.from_numpy(np.array(pixels, np.float32))[None]
+        return [*(view[i] for i in range(self.recipe.shaded)), unshaded(last)], target
+
+
+def _hidden(start: int, recipe: Recipe) -> int:
+    """Index of the frame to generate in a sample that starts at `start`."""
+    return start + 2 * recipe.shaded - (1 if recipe.mode == "extrapolate" else 3)
+
+
+def _starts(clip: Clip, recipe: Recipe) -> list[int]:
+    """Where samples may start: no cut inside, every frame shaded."""
+    last = 2 * recipe.shaded - (1 if recipe.mode == "extrapolate" else 2)
+    inside = range(len(clip) - last)
+    return [s for s in inside if not any(clip.is_cut(i) for i in range(s + 1, s + last + 1))]
+
+
+def joined(samples: Sequence[Batch]) -> Batch:
+    """Samples as one batch."""
+    columns = zip(*(sample.frames for sample in samples), strict=True)
+    return Batch(
+        tuple(concatenate(column) for column in columns),
+        torch.cat([sample.target for sample in samples]),
+        tuple(name for sample in samples for name in sample.names),
+    )
+
+
+def batches(
+    samples: Samples, start: int, *, rank: int = 0, world: int = 1, workers: int = 0, pin: bool = False
+) -> Iterator[Batch]:
+    """The batches of this process, from step `start` to the recipe's last; processes share out the samples of a step.
+
+    Raises:
+        ValueError: the batch cannot be shared out equally.
+    """
+    size = samples.recipe.batch
+    if size % world:
+        raise ValueError(f"a batch of {size} cannot be shared by {world} processes; use a multiple of {world}")
+    share = size // world
+    numbers = [[step * size + rank * share + k for k in range(share)] for step in range(start, samples.recipe.steps)]
+    return iter(DataLoader(samples, batch_sampler=numbers, collate_fn=joined, num_workers=workers, pin_memory=pin))
