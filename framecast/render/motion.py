@@ -102,6 +102,6 @@ def frame_along(path: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3 3"]:
     return np.stack(frames)
 
 
-def bounds(points: Sequence[Float[ndarray, "n 3"]]) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"]]:
+def bounds(points: Sequence[Float[ndarray, "_ 3"]]) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"]]:
     """(lowest, highest) corner of the box around all points."""
     return np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
