@@ -18,6 +18,7 @@ from typing import Any, Literal, get_args
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.utils._pytree import tree_map_only
 
 from framecast.frame import Frame, moment
 
@@ -107,7 +108,7 @@ def stream(
     """
     method = method.to(device).eval()
     call = compiled(method) if compile else method
-    start: Callable[[Frame], Any] = method.start  # type: ignore[assignment]
+    start: Callable[[Frame], Any] = call.start  # type: ignore[assignment]
     state: Any = None
     for group in groups:
         outputs = []
@@ -121,6 +122,11 @@ def stream(
             elapsed = (clock.perf_counter() - started) * 1e3
             outputs.append(Output(float(frame.time[0]), image, not frame.is_shaded, elapsed))
         yield from sorted(outputs, key=lambda output: output.time)
+
+
+OPTIONS: dict[str, Any] = {"assert_indirect_indexing": False}
+"""For `torch.compile`: no checks of indices inside of the loops, where they cost a third of the time; `warp.py` keeps
+every index inside of the image whatever the motion, and the tests check them."""
 
 
 def compiled(method: nn.Module) -> nn.Module:
@@ -137,8 +143,15 @@ def compiled(method: nn.Module) -> nn.Module:
     os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache))
     fast = copy.copy(method)
     for name in getattr(method, "parts", ("forward",)):
-        object.__setattr__(fast, name, torch.compile(getattr(method, name), dynamic=False))
+        object.__setattr__(fast, name, torch.compile(getattr(method, name), dynamic=False, options=OPTIONS))
+    object.__setattr__(fast, "start", lambda frame: _apart(method.start(frame)))  # type: ignore[operator]
     return fast
+
+
+def _apart(state: Any) -> Any:
+    """The state with tensors of its own: those of a first state are the frame's, and compiled code that has met one
+    tensor in two places is compiled again when they differ."""
+    return tree_map_only(Tensor, torch.clone, state)
 
 
 def can_compile() -> bool:

@@ -40,14 +40,19 @@ def warp(image: Float[Tensor, "b c h w"], motion: Float[Tensor, "b 2 h w"]) -> F
     x, y = x.clamp(0, width - 1), y.clamp(0, height - 1)
     left, top = x.floor(), y.floor()
     fx, fy = x - left, y - top
-    corner = (top * width + left).to(torch.int32)
-    right, below = (left < width - 1).to(torch.int32), (top < height - 1).to(torch.int32) * width
+    corner = _linear(top, left, height, width)
+    # Past the right or lower edge the weight is 0, and any pixel that exists will do.
+    corners = [(corner + step).clamp(max=height * width - 1) for step in (0, 1, width, width + 1)]
     planes = []
     for plane in image.unbind(1):
-        upper = _mix(_at(plane, corner), _at(plane, corner + right), fx)
-        lower = _mix(_at(plane, corner + below), _at(plane, corner + below + right), fx)
-        planes.append(_mix(upper, lower, fy))
+        a, b, c, d = (_at(plane, index) for index in corners)
+        planes.append(_mix(_mix(a, b, fx), _mix(c, d, fx), fy))
     return torch.stack(planes, 1)
+
+
+def _linear(row: Tensor, column: Tensor, height: int, width: int) -> Tensor:
+    """Linear index of pixels; inside the image whatever is given, which spares compiled code its own checks."""
+    return (row.to(torch.int32) * width + column.to(torch.int32)).clamp(0, height * width - 1)
 
 
 def _mix(a: Tensor, b: Tensor, f: Tensor) -> Tensor:
@@ -57,10 +62,7 @@ def _mix(a: Tensor, b: Tensor, f: Tensor) -> Tensor:
 
 def _at(plane: Tensor, index: Tensor) -> Tensor:
     """Values of one plane (b h w) at linear indices (b h w) within each image of the batch."""
-    if plane.shape[0] > 1:
-        size = plane.shape[-2] * plane.shape[-1]
-        index = index + torch.arange(plane.shape[0], device=plane.device, dtype=index.dtype)[:, None, None] * size
-    return plane.reshape(-1)[index]
+    return plane.flatten(1).gather(1, index.flatten(1).long()).view(index.shape)
 
 
 def pick(image: Shaped[Tensor, "b c h w"], index: Int[Tensor, "b h w"]) -> Shaped[Tensor, "b c h w"]:
@@ -73,7 +75,7 @@ def landing(motion: Float[Tensor, "b 2 h w"]) -> Int[Tensor, "b h w"]:
     height, width = motion.shape[-2:]
     x, y = _position(motion)
     column, row = (x + 0.5).floor().clamp(0, width - 1), (y + 0.5).floor().clamp(0, height - 1)
-    return (row * width + column).to(torch.int32)
+    return _linear(row, column, height, width)
 
 
 def fetch(image: Shaped[Tensor, "b c h w"], motion: Float[Tensor, "b 2 h w"]) -> Shaped[Tensor, "b c h w"]:
@@ -173,23 +175,33 @@ def trajectory(
     return Trajectory((motion_next - motion) / (2 * s), (motion_next + motion) / (s * s))
 
 
-def splat(depth: Float[Tensor, "b 1 h w"], displacement: Float[Tensor, "b 2 h w"]) -> Int[Tensor, "b h w"]:
+def splat(
+    depth: Float[Tensor, "b 1 h w"], displacement: Float[Tensor, "b 2 h w"], border: int = 0
+) -> Int[Tensor, "b H W"]:
     """Every source pixel sent to the pixel that contains its target; where several meet, the nearest stays.
 
     Returns packed keys, depth bits above the source's linear index, so that smaller keys are nearer; EMPTY where
     nothing landed. Equal depths keep the smaller index: exact and the same on every run. `depth` must be at least 0;
-    targets outside the image are dropped. Read keys with `key_depth` and `key_index`.
+    targets outside the image are dropped. Read keys with `key_depth` and `key_index`. Around the image lie `border`
+    EMPTY pixels on each side, for filters that follow.
     """
     batch, _, height, width = depth.shape
+    tall, wide = height + 2 * border, width + 2 * border
     x, y = _position(displacement)
     column, row = (x + 0.5).floor(), (y + 0.5).floor()
     on_screen = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    cell = torch.where(on_screen, row * width + column, height * width).long()
+    cell = (row + border).long() * wide + (column + border).long()
+    cell = torch.where(on_screen, cell, tall * wide)
     source = torch.arange(height * width, device=depth.device).view(height, width)
-    bits = depth[:, 0].contiguous().view(torch.int32).long()  # bits of floats >= 0 are ordered like the floats
-    keys = torch.full((batch, height * width + 1), EMPTY, dtype=torch.int64, device=depth.device)
-    keys = keys.scatter_reduce(1, cell.view(batch, -1), ((bits << 32) | source).view(batch, -1), "amin")
-    return keys[:, :-1].reshape(batch, height, width)
+    keys = torch.full((batch, tall * wide + 1), EMPTY, dtype=torch.int64, device=depth.device)
+    packed = depth_key(depth) | source
+    keys = keys.scatter_reduce(1, cell.view(batch, -1), packed.view(batch, -1), "amin")
+    return keys[:, :-1].reshape(batch, tall, wide)
+
+
+def depth_key(depth: Float[Tensor, "b 1 h w"]) -> Int[Tensor, "b h w"]:
+    """The smallest key of a depth; the bits of floats of at least 0 are ordered like the floats."""
+    return depth[:, 0].contiguous().view(torch.int32).long() << 32
 
 
 def key_depth(keys: Int[Tensor, "b h w"]) -> Float[Tensor, "b 1 h w"]:
@@ -206,7 +218,7 @@ def nearest_neighbour(depth: Float[Tensor, "b 1 h w"]) -> Int[Tensor, "b h w"]:
     """Linear index of the nearest surface in each pixel's 3 x 3 neighbourhood (nothing beyond the border)."""
     height, width = depth.shape[-2:]
     source = torch.arange(height * width, device=depth.device).view(height, width)
-    keys = (depth[:, 0].contiguous().view(torch.int32).long() << 32) | source
+    keys = depth_key(depth) | source
     return (nearest_key(keys) & 0xFFFFFFFF).to(torch.int32)
 
 

@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
@@ -34,6 +33,7 @@ from framecast.methods.pair import Pair, advance, begin
 from framecast.warp import (
     EMPTY,
     Trajectory,
+    depth_key,
     fetch,
     inside,
     key_depth,
@@ -147,22 +147,22 @@ def path(frame: Frame, previous: Frame) -> Trajectory:
     return Trajectory(change / (2 * s) - motion / s, change / (s * s))
 
 
-def refine(keys: Int[Tensor, "b h w"], threshold: float) -> Int[Tensor, "b h w"]:
+def refine(keys: Int[Tensor, "b H W"], threshold: float) -> Int[Tensor, "b h w"]:
     """Gaps of a splat closed (section 3.3): holes, and pixels of the background seen through a spread-out surface.
 
     A pixel stays when it is part of a 2 x 2 block in which nothing is nearer than it by more than `threshold` of its
     depth; else it lies in a gap one pixel wide and takes the key of the nearest neighbour. Larger holes stay EMPTY.
+    `keys` have a border of one pixel, which is lost.
     """
-    height, width = keys.shape[-2:]
-    padded = F.pad(keys, (1, 1, 1, 1), value=float(EMPTY))
-    around = [[padded[:, y : y + height, x : x + width] for x in range(3)] for y in range(3)]
-    limit = key_depth(keys)[:, 0] * (1 - threshold)
-    similar = [[key_depth(key)[:, 0] >= limit for key in row] for row in around]
+    height, width = keys.shape[-2] - 2, keys.shape[-1] - 2
+    around = [[keys[:, y : y + height, x : x + width] for x in range(3)] for y in range(3)]
+    limit = depth_key(key_depth(around[1][1]) * (1 - threshold))
+    similar = [[key >= limit for key in row] for row in around]
     blocks = [similar[y][x] & similar[y][1] & similar[1][x] for y in (0, 2) for x in (0, 2)]
     keep = blocks[0] | blocks[1] | blocks[2] | blocks[3]
     rows = [torch.minimum(torch.minimum(a, b), c) for a, b, c in around]
     nearest = torch.minimum(torch.minimum(rows[0], rows[1]), rows[2])
-    return torch.where(keep, keys, nearest)
+    return torch.where(keep, around[1][1], nearest)
 
 
 @dataclass(frozen=True)
@@ -181,10 +181,10 @@ def arrivals(frame: Frame, moving: Trajectory, time: Tensor, other: Tensor, thre
     """A frame's pixels splatted along their paths to `time`, gaps closed; `other` is the other frame's time."""
     to_time = moving.displacement(time - frame.time)
     across = moving.displacement(other - frame.time)
-    keys = refine(splat(present(frame.depth), to_time), threshold)
-    source = key_index(keys)
-    to_own = -pick(to_time, source)
-    return Arrivals(key_depth(keys), to_own, to_own + pick(across, source))
+    keys = refine(splat(present(frame.depth), to_time, border=1), threshold)
+    # Joined, both are computed before pixels are picked: compiled code would compute them anew for every one picked.
+    to_time, across = pick(torch.cat((to_time, across), 1), key_index(keys)).split(2, 1)
+    return Arrivals(key_depth(keys), -to_time, across - to_time)
 
 
 def interpolate(state: Pair, time: Float[Tensor, " b"], config: Config) -> Float[Tensor, "b 3 h w"]:
@@ -240,7 +240,7 @@ def extrapolate(state: Pair, time: Float[Tensor, " b"], config: Config) -> Float
     later = time - current.time
     moving = path(current, state.prev)
     to_time = moving.displacement(later)
-    keys = refine(splat(depth, to_time), config.gap_threshold)
+    keys = refine(splat(depth, to_time, border=1), config.gap_threshold)
     back = -pick(to_time, key_index(keys))
     # Disoccluded: this pixel's own motion continued, unless that would copy something nearer; then what is here now.
     straight = -moving.velocity * _wide(later)

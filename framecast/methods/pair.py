@@ -43,7 +43,7 @@ def advance(frame: Frame, state: Pair, keeps: Sequence[str]) -> Pair:
     """The state after one more shaded frame; those of the batch that reset begin anew."""
     slim, old = _slim(frame, keeps, frame.reset), state.current
     values: dict[str, Any] = {
-        f.name: _where(frame.reset, getattr(slim, f.name), getattr(old, f.name)) for f in fields(Frame)
+        f.name: _where(frame.reset, getattr(slim, f.name), getattr(old, f.name)) for f in fields(slim)
     }
     return Pair(prev=Frame(**values), current=slim)
 
