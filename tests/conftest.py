@@ -67,3 +67,12 @@ def write_disc_clip(folder: Path, frames: int, **changes: object) -> Clip:
         view = tuple(tuple(row) for row in torch.eye(4).tolist())
         write_frame(folder, Record(number=t + 1, time=float(t), view=view), layers)
     return finish(folder, fps=24)
+
+
+@pytest.fixture
+def small_shadow_maps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shadow maps of the renderer that suit tiny pictures."""
+    from framecast.render import shadows
+
+    monkeypatch.setattr(shadows, "SUN_SIZE", 512)
+    monkeypatch.setattr(shadows, "LAMP_SIZE", 256)
