@@ -282,6 +282,20 @@ def test_the_image_is_the_warped_one_plus_what_the_network_adds() -> None:
     torch.testing.assert_close(method(request, state)[0], torch.expm1(base + 0.1) * surface(request))
 
 
+def test_the_output_can_be_added_to_the_occlusion_warp() -> None:
+    """A network that adds nothing then gives the image of `warp-occlusion`."""
+    method = ExtraNet(Config(residual="occlusion")).eval()
+    nn.init.zeros_(method.network.leave.weight)
+    nn.init.zeros_(method.network.leave.bias)  # type: ignore[arg-type]
+    frames = [shot(t, speed=0, square=3.0) for t in (0.0, 2.0, 4.0)]
+    request = unshaded(shot(5.0, speed=0, square=3.0, span=1.0))
+    image, _ = method(request, fed(method, frames))
+    expected, _ = OcclusionWarp()(request, OcclusionWarp().start(frames[-1]))
+    plain, _ = silent()(request, fed(method, frames))
+    torch.testing.assert_close(image, expected)
+    assert float((plain - expected).detach().abs().max()) > 0.1
+
+
 def test_a_batch_is_its_images_and_a_reset_a_fresh_start() -> None:
     method = ExtraNet().eval()
     one = [shot(t) for t in (0.0, 2.0, 4.0)]

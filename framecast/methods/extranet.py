@@ -25,6 +25,7 @@ State:   the last three shaded frames: light, surfaces, accumulated motion
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -63,6 +64,8 @@ class Config:
     """Encode the three warped frames; without it the network sees the newest alone."""
     occlusion: bool = True
     """Show the network the image warped by occlusion motion; without it the plain warp twice."""
+    residual: Literal["warp", "occlusion"] = "warp"
+    """What the output is added to: the plain warp, as published, or the one by occlusion motion."""
     scale: int = 1
     """Output size divided by input size; above 1 shaded frames are super-resolved too, and nothing is demodulated."""
 
@@ -92,7 +95,7 @@ class Inputs:
     """What the network sees, at render size; colours are light in the log domain."""
 
     base: Float[Tensor, "b 3 h w"]
-    """Newest frame warped, holes filled with whatever lay there: what the network's output is added to."""
+    """Newest frame warped, holes filled with whatever lay there."""
     occluded: Float[Tensor, "b 3 h w"]
     """The same with holes read beside their occluders."""
     mask: Float[Tensor, "b 1 h w"]
@@ -238,7 +241,7 @@ class ExtraNet(nn.Module):
         x = torch.cat((images, images * inputs.mask, inputs.features), 1)
         past = tuple(padded(scattered(image, jitter, scale), 8) for image in inputs.past)
         residual = self.network(padded(scattered(x, jitter, scale), 8), past).float()
-        base = enlarged(inputs.base, jitter, scale)
+        base = enlarged(inputs.base if self.config.residual == "warp" else inputs.occluded, jitter, scale)
         return residual[..., : base.shape[-2], : base.shape[-1]] + base
 
 
