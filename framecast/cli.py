@@ -10,13 +10,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from framecast.clip import Clip, check
+from framecast.clip import Clip, check, mended
 from framecast.demo import demo
 from framecast.evaluate import command as evaluate
 from framecast.fit import method_named
 from framecast.importers import describe, open_any, repairs, save
 from framecast.methods import METHODS
 from framecast.render.command import command as render
+from framecast.train import command as train
 from framecast.runtime import Mode
 from framecast.upsample import Format, Job
 from framecast.upsample import upsample as run_upsample
@@ -68,23 +69,24 @@ def upsample(
         fps: images out for each frame in.
         mode: interpolate waits for the next frame; extrapolate does not; mixed does half of each; pass copies.
         format: exr (linear, half float), png (8 bits, as displayed) or mp4; by default exr, or mp4 by the name.
-        repair: replace NaN and infinite pixels of the input.
+        repair: replace NaN and infinite pixels of the input, and say how many.
         overwrite: remove what is at OUT first.
         device: cpu, cuda, mps.
         compile: compile the method: half a minute once for each size, then several times faster.
     """
     job = Job(method, fps, mode, format or ("mp4" if out.suffix == ".mp4" else "exr"))
-    opened = open_any(clip, repair=repair)
+    opened, replaced = mended(open_any(clip)) if repair else (open_any(clip), {})
     made = run_upsample(
         opened, out, job, device=device, compile=compile, overwrite=overwrite, progress=bar(f"upsample ({method})")
     )
     height, width = opened.size
     again = f", {made.skipped} of them were there" if made.skipped else ""
+    bad = f"; {sum(replaced.values())} NaN or infinite values of the input replaced" if repair else ""
     speed = f"; {made.milliseconds:.0f} ms for a generated image" if made.milliseconds else ""
     print(
         f"{made.out}: {made.frames} images ({made.shaded} shaded, {made.frames - made.shaded} generated{again}), "
         f"{width}x{height}, {made.fps:g} frames a second; {method}, {mode}, "
-        f"adds {made.latency_ms:.1f} ms of latency{speed}"
+        f"adds {made.latency_ms:.1f} ms of latency{speed}{bad}"
     )
 
 
@@ -126,6 +128,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "check": check_clip,
     "evaluate": evaluate,
     "render": render,
+    "train": train,
     "demo": demo,
 }
 

@@ -24,7 +24,18 @@ from framecast.exr import ClipError
 from framecast.frame import BUFFERS, LAYERS, SKY, Frame
 from framecast.warp import chain, trajectory
 
-__all__ = ["Clip", "ClipError", "Record", "check", "finish", "open_clip", "read_layers", "repaired", "write_frame"]
+__all__ = [
+    "Clip",
+    "ClipError",
+    "Record",
+    "check",
+    "finish",
+    "mended",
+    "open_clip",
+    "read_layers",
+    "repaired",
+    "write_frame",
+]
 
 VERSION = 1
 Matrix = tuple[tuple[float, ...], ...]
@@ -324,6 +335,17 @@ def repaired(layers: Layers) -> tuple[Layers, int]:
             pixels = np.where(bad, fill, pixels).astype(pixels.dtype)
         out[name] = pixels
     return out, count
+
+
+def mended(clip: Clip) -> tuple[Clip, dict[int, int]]:
+    """The clip with NaN and infinite pixels replaced (see `repaired`), and how many, by frame number, as it is read."""
+    counts: dict[int, int] = {}
+
+    def load(record: Record) -> Layers:
+        layers, counts[record.number] = repaired(clip.load(record))
+        return layers
+
+    return replace(clip, load=load), counts
 
 
 def _finite_mean(pixels: np.ndarray, bad: np.ndarray) -> np.ndarray:

@@ -133,7 +133,7 @@ def test_bad_input_is_told_in_one_sentence_and_nothing_is_written(disc_clip: Cli
     assert [p.name for p in tmp_path.rglob("*.part*")] == []
 
 
-def test_nan_is_refused_or_repaired(disc_clip: Clip, tmp_path: Path, told) -> None:
+def test_nan_is_refused_or_repaired(disc_clip: Clip, tmp_path: Path, told, capsys: pytest.CaptureFixture[str]) -> None:
     path = disc_clip.path / "frames" / "0004.exr"
     file = exr.read(path)
     file.channels["G"][5, 5] = np.nan
@@ -141,6 +141,7 @@ def test_nan_is_refused_or_repaired(disc_clip: Clip, tmp_path: Path, told) -> No
     assert "frame 4" in told("upsample", disc_clip.path, "-o", tmp_path / "o")
     assert "frame 4" in told("check", disc_clip.path)
     assert main(["upsample", str(disc_clip.path), "-o", str(tmp_path / "o"), "--repair"]) == 0
+    assert "1 NaN or infinite values of the input replaced" in capsys.readouterr().out
     assert all(np.isfinite(exr.read(p).channels["G"]).all() for p in (tmp_path / "o").glob("*.exr"))
 
 
