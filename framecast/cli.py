@@ -19,6 +19,7 @@ from framecast.methods import METHODS
 from framecast.render.command import command as render
 from framecast.train import command as train
 from framecast.runtime import Mode
+from framecast.train import command as train
 from framecast.upsample import Format, Job
 from framecast.upsample import upsample as run_upsample
 
@@ -128,6 +129,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "check": check_clip,
     "evaluate": evaluate,
     "render": render,
+    "train": train,
     "train": train,
     "demo": demo,
 }

@@ -20,7 +20,7 @@ import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import torch
 import torch.distributed as dist
@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor, nn
 from torch.utils._pytree import tree_map_only
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from framecast import checkpoint
 from framecast.color import to_display
@@ -341,7 +341,7 @@ def picture(method: Method, batch: Batch, path: Path) -> None:
 def command(
     method: Positional[str],
     clips: str,
-    out: Path,
+    out: Annotated[Path, arg(aliases=["-o"])],
     steps: int | None = None,
     batch: int | None = None,
     crop: int | None = None,
