@@ -17,7 +17,6 @@ from framecast.fit import method_named
 from framecast.importers import describe, open_any, repairs, save
 from framecast.methods import METHODS
 from framecast.render.command import command as render
-from framecast.train import command as train
 from framecast.runtime import Mode
 from framecast.train import command as train
 from framecast.upsample import Format, Job
@@ -129,7 +128,6 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "check": check_clip,
     "evaluate": evaluate,
     "render": render,
-    "train": train,
     "train": train,
     "demo": demo,
 }
