@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from framecast.bench import command as bench
 from framecast.clip import Clip, check, mended
 from framecast.demo import demo
 from framecast.evaluate import command as evaluate
@@ -127,6 +128,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "import": import_shot,
     "check": check_clip,
     "evaluate": evaluate,
+    "bench": bench,
     "render": render,
     "train": train,
     "demo": demo,
