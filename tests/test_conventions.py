@@ -1,12 +1,15 @@
 """The executable half of `frame.py`: each convention as a law that one could see."""
 
 import math
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from conftest import disc_frame
 
-from framecast.clip import Clip
+from framecast.clip import Clip, Record, finish, write_frame
+from framecast.color import demodulate, modulate
 from framecast.frame import (
     BUFFERS,
     SKY,
@@ -24,6 +27,8 @@ from framecast.frame import (
     world_position,
 )
 from framecast.warp import fetch, warp
+
+ZERO = torch.zeros(1)
 
 
 def look(position: tuple[float, float, float], *, roll: float = 0.0) -> torch.Tensor:
@@ -139,6 +144,46 @@ def test_normals_are_in_world_space() -> None:
     cosine = facing(plane(4.0, look((0.5, 0.2, 0), roll=0.7)))
     assert float(cosine[0, 0, 9:11, 14:16].mean()) == pytest.approx(1, abs=0.01)
     assert (cosine < 1.0001).all()
+
+
+def test_jitter_is_where_in_the_pixel_the_sample_was_taken() -> None:
+    """A ramp sampled at the pixel centre plus jitter: reading the image at minus jitter gives the centres back."""
+    jitter = torch.tensor([[0.25, -0.375]])
+    x, y = pixel_grid(8, 12) + jitter[0, :, None, None]
+    frame = Frame(color=(x + 3 * y).expand(1, 3, 8, 12), jitter=jitter, time=ZERO, reset=ZERO > 0, span=ZERO + 1)
+    centred = warp(frame.color, -frame.jitter[:, :, None, None].expand(1, 2, 8, 12))
+    x, y = pixel_grid(8, 12)
+    torch.testing.assert_close(centred[0, 0, 1:-1, 1:-1], (x + 3 * y)[1:-1, 1:-1], atol=1e-3, rtol=0)
+
+
+def test_colour_is_linear_and_exposed(tmp_path: Path) -> None:
+    """One stop more exposure doubles the stored values; dividing by the exposure gives the scene back."""
+    scene = np.full((3, 4, 6), 0.3, np.float32)
+    for number, exposure in ((1, 1.0), (2, 2.0)):
+        write_frame(tmp_path, Record(number=number, time=number - 1, exposure=exposure), {"color": scene * exposure})
+    clip = finish(tmp_path, fps=24)
+    torch.testing.assert_close(clip[1].color, 2 * clip[0].color)
+    for i in range(2):
+        assert float(clip[i].color.mean()) / clip.shown[i].exposure == pytest.approx(0.3, rel=1e-3)
+
+
+def test_object_0_is_the_static_world() -> None:
+    """With a still camera whatever has object 0 has no motion, and whatever moves has another number."""
+    frame = disc_frame(1)
+    assert (frame.motion[:, :, frame.object[0, 0] == 0] == 0).all()
+    assert (frame.motion[:, 0][frame.object[:, 0] != 0] != 0).all()
+
+
+def test_albedo_is_what_light_is_multiplied_with() -> None:
+    """Linear base colour: light times albedo is colour, so a half as bright surface is a half as bright picture."""
+    light, albedo = torch.rand(1, 3, 4, 4), torch.full((1, 3, 4, 4), 0.5)
+    torch.testing.assert_close(modulate(light, albedo), light / 2)
+    torch.testing.assert_close(demodulate(modulate(light, albedo), albedo), light)
+
+
+def test_only_the_first_frame_and_cuts_reset(disc_clip: Clip) -> None:
+    assert [bool(disc_clip[i].reset) for i in range(3)] == [True, False, False]
+    assert [float(disc_clip[i].time) for i in range(3)] == [0, 1, 2]
 
 
 def test_a_request_carries_only_its_time() -> None:
