@@ -9,7 +9,7 @@ Follows: interpolation between two frames with motion both ways. For a pixel p a
          nearer hides the other. With one valid place it is used; with none, the one with the smallest error.
 Differs: starts, iterations and thresholds are ours (`Config`; the opposite field's start is scaled to the same part of
          the gap). Two published readings are options: of two surfaces the one that solves its equation better (0.9 and
-         1.6 dB less on two real shots), and the frame nearer in time alone where the colours agree (0.3 and 0.5 dB
+         1.7 dB less on two real shots), and the frame nearer in time alone where the colours agree (0.3 and 0.5 dB
          less). Where the clip has no forward motion it is splatted from the backward motion of the next frame.
          Extrapolation is not in the paper: the backward motion of the last frame, continued in a straight line, is the
          proxy of its forward motion, and x + d forward(x) = p is solved on this frame alone.
