@@ -104,10 +104,16 @@ def import_shot(
         full: keep 32 bits of colour, albedo and normal in place of half floats.
     """
     clip = open_any(shot, fps=fps)
-    print(describe(clip, {name: tuple(method_named(name).needs) for name in METHODS}))
+    print(describe(clip, {name: wanted(name) for name in METHODS}))
     saved = save(clip, out, repair=repair, full=full, progress=lambda indices: bar("import")(indices, len(indices)))
     mended = f", {repairs(saved)} NaN or infinite values replaced" if repair else ""
     print(f"{out}: {len(saved)} frames written{mended}")
+
+
+def wanted(name: str) -> tuple[str, ...]:
+    """Every field that a method reads, of shaded frames and of those that it makes."""
+    method = method_named(name)
+    return tuple(dict.fromkeys((*method.needs, *method.needs_generated)))
 
 
 def check_clip(clip: Positional[Path]) -> None:

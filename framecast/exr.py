@@ -53,17 +53,23 @@ class Header:
 
 
 @contextlib.contextmanager
+def silenced() -> Iterator[None]:
+    """Standard error of the process, native libraries included, goes nowhere inside the block."""
+    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(null)
+
+
+@contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """The library reports damage on both standard streams; its findings are reported as errors here instead."""
-    with _READING, contextlib.redirect_stdout(io.StringIO()):
-        saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, 2)
-        try:
-            yield
-        finally:
-            os.dup2(saved, 2)
-            os.close(saved)
-            os.close(null)
+    with _READING, contextlib.redirect_stdout(io.StringIO()), silenced():
+        yield
 
 
 def _open(path: Path, header_only: bool) -> OpenEXR.File:

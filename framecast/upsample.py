@@ -8,7 +8,8 @@ out.mp4              the same as a film; its frames lie in a folder beside it un
 import contextlib
 import json
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+import statistics
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from itertools import islice
@@ -55,7 +56,7 @@ class Made:
     skipped: int
     """Images that an earlier run had made."""
     milliseconds: float
-    """Mean time of the method for a generated image; 0 where none was made."""
+    """Median time of the method for a generated image; 0 where none was made."""
     latency_ms: float
     """How long images wait because of the mode, at the clip's speed."""
 
@@ -86,6 +87,7 @@ def upsample(
     method = method_named(job.method)
     if job.mode != "pass":
         require_mode(job.method, method, job.mode)
+        _require_nothing_between(job.method, method.needs_generated)
     require(clip, job.method, method)
     folder = out.with_name(f".{out.name}.frames") if job.format == "mp4" else out
     _begin(clip, out, folder, job, overwrite)
@@ -102,8 +104,18 @@ def upsample(
         encode([plan.path(folder, i) for i in range(plan.total)], out, plan.fps)
         shutil.rmtree(folder)
     wait = latency(job.rate, job.mode) * job.rate / plan.fps * 1e3
-    mean = sum(spent) / len(spent) if spent else 0.0
-    return Made(out, plan.total, len(clip), plan.fps, done, mean, wait)
+    typical = statistics.median(spent) if spent else 0.0
+    return Made(out, plan.total, plan.shaded, plan.fps, done, typical, wait)
+
+
+def _require_nothing_between(name: str, needs: Sequence[str]) -> None:
+    """Refuses a method that reads buffers of the very frames that no renderer has made."""
+    if needs:
+        raise ValueError(
+            f"{name} needs {' and '.join(needs)} of each frame that it makes, and between the frames of a clip "
+            f"nothing was rendered; use --method mobfgsr, or record those frames without colour and "
+            f"pass them with --mode pass"
+        )
 
 
 @dataclass(frozen=True)
@@ -124,6 +136,13 @@ class Plan:
         return self.rate * (len(self.clip) - 1) + 1
 
     @property
+    def shaded(self) -> int:
+        """Frames that the renderer shaded; passed on, a clip may hold others, so they are looked at."""
+        if self.job.mode != "pass":
+            return len(self.clip)
+        return sum("color" in self.clip.load(record) for record in self.clip.shown)
+
+    @property
     def fps(self) -> float:
         """Images a second, so that the shot keeps its length."""
         times = [record.time for record in self.clip.shown]
@@ -137,7 +156,7 @@ class Plan:
     def entry(self, index: int, history: int | None) -> int:
         """Shaded frame at which a run has to start so that image `index` comes out as in a run from the beginning."""
         shaded = index // self.rate
-        if history is not None:
+        if history is not None and self.job.mode != "pass":  # passed on, not every frame of the clip is shaded
             return max(shaded - history + 1, 0)
         return next((i for i in range(shaded, -1, -1) if self.clip.is_cut(i)), 0)
 

@@ -12,7 +12,7 @@ from PIL import Image
 
 from framecast import exr
 from framecast.cli import main
-from framecast.clip import Clip, open_clip
+from framecast.clip import Clip, finish, open_clip, write_frame
 from framecast.color import to_display
 from framecast.upsample import Job, upsample
 
@@ -104,6 +104,27 @@ def test_a_half_rate_shot_gets_its_missing_frames_back(tmp_path: Path) -> None:
     assert (image - truth).abs()[core].mean() < 0.3 * (held - truth).abs()[core].mean()
 
 
+def test_frames_recorded_without_colour_are_made_from_their_own_buffers(tmp_path: Path) -> None:
+    """Every second frame has no colour: passing them to `warp` shows the disc where its own vectors say."""
+    full = write_disc_clip(tmp_path / "full", 5)
+    for record in full.records:
+        layers = full.load(record)
+        if record.number % 2 == 0:
+            del layers["color"]
+        write_frame(tmp_path / "half", record, layers)
+    clip, job = finish(tmp_path / "half", fps=24), Job(method="warp", mode="pass")
+    upsample(clip, tmp_path / "o", job)
+    whole = pixels(tmp_path / "o")
+    (tmp_path / "o" / "0002.exr").unlink()
+    made = upsample(clip, tmp_path / "o", job)
+    assert pixels(tmp_path / "o") == whole
+    assert (made.frames, made.shaded, made.fps) == (5, 3, 24)
+    truth, held = full[1].color[0, 0], full[0].color[0, 0]
+    core = torch.nn.functional.avg_pool2d(full[1].object.float(), 5, 1, 2)[0, 0] == 1
+    image = torch.from_numpy(exr.read(tmp_path / "o" / "0002.exr").channels["R"].astype(np.float32))
+    assert (image - truth).abs()[core].mean() < 0.3 * (held - truth).abs()[core].mean()
+
+
 @pytest.fixture
 def told(capsys: pytest.CaptureFixture[str]):
     """Runs a command that must fail with exit code 2 and one line on standard error, which it returns."""
@@ -124,6 +145,7 @@ def test_bad_input_is_told_in_one_sentence_and_nothing_is_written(disc_clip: Cli
     assert "there is no method 'magic'" in told("upsample", clip, "-o", out, "--method", "magic")
     assert "rate is 0" in told("upsample", clip, "-o", out, "--fps", "0")
     assert "projection" in told("upsample", clip, "-o", out, "--method", "warp3d")
+    assert "nothing was rendered" in told("upsample", clip, "-o", out, "--method", "warp", "--mode", "extrapolate")
     path = clip / "frames" / "0002.exr"
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])

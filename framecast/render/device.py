@@ -1,15 +1,13 @@
 """The GPU: opening it, and moving arrays there and back. Everything of wgpu that the passes share."""
 
-import contextlib
 import functools
-import os
-from collections.abc import Iterator
 from importlib import resources
 from typing import Any
 
 import numpy as np
 
 import framecast.shaders
+from framecast.exr import silenced
 
 Array = np.ndarray
 
@@ -32,19 +30,6 @@ MISSING = (
 )
 
 
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Hides what native drivers print while adapters are listed: a missing display is not news here."""
-    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, 2)
-    try:
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
-        os.close(null)
-
-
 @functools.cache
 def open_device() -> Any:
     """The process's `wgpu.GPUDevice` with web limits.
@@ -56,7 +41,7 @@ def open_device() -> Any:
         import wgpu
     except ImportError as error:
         raise FileNotFoundError("rendering needs wgpu; install it: pip install 'framecast[render]'") from error
-    with _quiet():
+    with silenced():  # drivers report a missing display while adapters are listed, which is not news here
         found = [
             a for a in wgpu.gpu.enumerate_adapters_sync() if a.info["backend_type"] in ("Vulkan", "Metal", "D3D12")
         ]
