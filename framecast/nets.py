@@ -67,17 +67,17 @@ def _summed(values: Tensor) -> Tensor:
 class GatedConv(nn.Module):
     """Light-weight gated convolution: values times one mask for all channels, O = conv_f(X) * sigmoid(conv_m(X)).
 
-    Guo et al. 2021, section 4.3. 3 x 3. What follows the product (normalisation, rectifier) is `norm`.
+    Guo et al. 2021, section 4.3. 3 x 3. One convolution computes both, the mask as its last channel. What follows the product (normalisation, rectifier) is `norm`.
     """
 
     def __init__(self, inputs: int, outputs: int, *, stride: int = 1, norm: bool = True) -> None:
         super().__init__()
-        self.values = nn.Conv2d(inputs, outputs, 3, stride, 1)
-        self.mask = nn.Conv2d(inputs, 1, 3, stride, 1)
+        self.conv = nn.Conv2d(inputs, outputs + 1, 3, stride, 1)
         self.norm = nn.Sequential(BatchNorm(outputs), nn.ReLU()) if norm else nn.Identity()
 
     def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d H W"]:
-        gated: Tensor = self.norm(self.values(x) * torch.sigmoid(self.mask(x)))
+        both = self.conv(x)
+        gated: Tensor = self.norm(both[:, :-1] * torch.sigmoid(both[:, -1:]))
         return gated
 
 

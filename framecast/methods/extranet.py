@@ -144,6 +144,8 @@ class Network(nn.Module):
         joined = (bottom + c, c + b, b + a)
         self.up = nn.ModuleList(Up(x, x // 2, y) for x, y in zip(joined, (c, b, a), strict=True))
         self.leave = nn.Conv2d(a, 3, 1)
+        nn.init.zeros_(self.leave.weight)
+        nn.init.zeros_(self.leave.bias)
 
     def forward(self, x: Float[Tensor, "b 18 h w"], past: tuple[Tensor, ...]) -> Float[Tensor, "b 3 h w"]:
         """What is added to the warped image. `past`: the three warped frames, b 4 h w, oldest first."""

@@ -20,6 +20,7 @@ def command(
     samples: int = 64,
     workers: int = 1,
     ranges: bool = False,
+    jitter: bool = True,
     preview: bool = False,
     list: Annotated[bool, arg(aliases=["-l"])] = False,
 ) -> None:
@@ -37,6 +38,7 @@ def command(
         samples: samples per display pixel in references; 0: no references.
         workers: processes.
         ranges: also write smallest and largest values over those samples.
+        jitter: move the sample inside its pixel from frame to frame, as temporal supersampling needs it.
         preview: also write every buffer of one frame on one picture.
         list: show the scenes instead.
     """
@@ -45,7 +47,7 @@ def command(
         return
     if not source or out is None:
         raise ValueError("name a scene (--list shows them) or a .glb or .gltf file, and a folder: -o clip/")
-    settings = Settings(source, parsed(size), scale, seed, samples, ranges)
+    settings = Settings(source, parsed(size), scale, seed, samples, ranges, jitter)
     made = render_clip(settings, out, frames=frames, workers=workers, preview=preview)
     count = f"{len(made)} frame" + "s" * (len(made) != 1)
     (height, width), display = made.size, settings.display

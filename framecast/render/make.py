@@ -49,6 +49,13 @@ class Settings:
     """Samples per display pixel in references; 0: no references and no masks."""
     ranges: bool = False
     """Also write the ranges over those samples."""
+    jitter: bool = True
+    """Move the sample inside its pixel from frame to frame; without it every frame is sampled at pixel centres."""
+
+    @property
+    def offsets(self) -> int:
+        """How many sample positions the frames go through; 0 without jitter."""
+        return reference.phases(self.scale) if self.jitter else 0
 
     @property
     def display(self) -> tuple[int, int]:
@@ -139,7 +146,7 @@ def _provenance(settings: Settings, scene: Scene) -> dict:
         "scene": scene.name,
         "split": scene.split,
         **asdict(settings),
-        "jitter": f"halton(2, 3), {reference.phases(settings.scale)} phases",
+        "jitter": f"halton(2, 3), {settings.offsets} phases" if settings.jitter else "none",
         "reference": "mean over a box of one display pixel, taken of c / (1 + max(c))",
     }
 
@@ -191,7 +198,7 @@ def render_frame(renderer: Renderer, settings: Settings, folder: Path, number: i
         if made.ranges is not None:
             exr.write(folder / "ranges" / f"{number:04d}.exr", dict(zip(reference.RANGES, made.ranges, strict=True)))
         exr.write(folder / "masks" / f"{number:04d}.exr", masks(renderer, number, settings.display))
-    offset = reference.jitter(number, reference.phases(settings.scale))
+    offset = reference.jitter(number, settings.offsets)
     layers = renderer.frame(time, settings.size, offset, -float(np.log2(settings.scale)))
     view = view_of(scene.camera, time, settings.size[1] / settings.size[0])
     record = clip.Record(

@@ -52,7 +52,9 @@ def halton(index: int, base: int) -> float:
 
 
 def jitter(number: int, phases: int) -> tuple[float, float]:
-    """Sample minus pixel centre of a frame: Halton(2, 3) less 1/2, repeating after `phases` frames."""
+    """Sample minus pixel centre of a frame: Halton(2, 3) less 1/2, repeating after `phases` frames; 0 where `phases` is."""
+    if phases == 0:
+        return 0.0, 0.0
     return halton(number % phases, 2) - 0.5, halton(number % phases, 3) - 0.5
 
 
