@@ -51,15 +51,16 @@ def upsample(
     clip: Positional[Path],
     out: Out,
     method: str = "mobfgsr",
-    fps: int = 2,
-    mode: Mode = "interpolate",
+    scale: float | None = None,
+    fps: int | None = None,
+    mode: Mode | None = None,
     format: Format | None = None,
     repair: bool = False,
     overwrite: bool = False,
     device: str = "cpu",
     compile: bool = False,
 ) -> None:
-    """Raise the frame rate of a clip or of a folder of rendered EXR files.
+    """Raise the size and the frame rate of a clip or of a folder of rendered EXR files.
 
     Interrupted and started again, it goes on where it was. The last line says what was made.
 
@@ -67,20 +68,23 @@ def upsample(
         clip: a clip, or a Blender shot (see `framecast import`).
         out: folder for the images, or a name that ends in .mp4 for a film.
         method: how images are made; `framecast evaluate` compares them.
-        fps: images out for each frame in.
-        mode: interpolate waits for the next frame; extrapolate does not; mixed does half of each; pass copies.
+        scale: size of the images divided by that of the frames; by default 1, or 2 with methods that only enlarge.
+        fps: images out for each frame in; by default 2, or 1 with methods that make no frames.
+        mode: interpolate waits for the next frame; extrapolate does not; mixed does half of each; pass makes no frames.
         format: exr (linear, half float), png (8 bits, as displayed) or mp4; by default exr, or mp4 by the name.
         repair: replace NaN and infinite pixels of the input, and say how many.
         overwrite: remove what is at OUT first.
         device: cpu, cuda, mps.
         compile: compile the method: half a minute once for each size, then several times faster.
     """
-    job = Job(method, fps, mode, format or ("mp4" if out.suffix == ".mp4" else "exr"))
+    mode = mode or first_mode(method, fps)
+    rate = 1 if mode == "pass" else 2 if fps is None else fps
+    job = Job(method, rate, mode, format or ("mp4" if out.suffix == ".mp4" else "exr"), scale)
     opened, replaced = mended(open_any(clip)) if repair else (open_any(clip), {})
     made = run_upsample(
         opened, out, job, device=device, compile=compile, overwrite=overwrite, progress=bar(f"upsample ({method})")
     )
-    height, width = opened.size
+    height, width = made.size
     again = f", {made.skipped} of them were there" if made.skipped else ""
     bad = f"; {sum(replaced.values())} NaN or infinite values of the input replaced" if repair else ""
     speed = f"; {made.milliseconds:.0f} ms for a generated image" if made.milliseconds else ""
@@ -89,6 +93,12 @@ def upsample(
         f"{width}x{height}, {made.fps:g} frames a second; {method}, {mode}, "
         f"adds {made.latency_ms:.1f} ms of latency{speed}{bad}"
     )
+
+
+def first_mode(method: str, fps: int | None) -> Mode:
+    """How frames are made where nobody says: none at one image for each frame, else interpolated where possible."""
+    modes: tuple[Mode, ...] = method_named(method).modes
+    return "pass" if fps == 1 else modes[0]
 
 
 def import_shot(

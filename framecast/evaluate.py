@@ -23,13 +23,14 @@ from tyro.conf import Positional
 
 from framecast.clip import Clip, ClipError
 from framecast.color import to_display
-from framecast.fit import Method, fitting, method_named, require, require_mode
+from framecast.fit import Method, fitting, method_named, require, require_mode, scale_of
 from framecast.frame import Frame, moment, unshaded
 from framecast.importers import open_any
 from framecast.metrics import METRICS, lpips_missing, measure
+from framecast.regions import hidden, regions
 from framecast.results import Mode, Role, Row, read_results, tables, write_results
 from framecast.runtime import Output, schedule, stream
-from framecast.warp import disoccluded, trajectory
+from framecast.warp import inside, warp
 
 RATE = 2
 """The method doubles the rate: every second frame is hidden."""
@@ -44,10 +45,13 @@ Read = Callable[[int], Frame]
 class Settings:
     """What is measured, and how the methods run."""
 
-    metrics: tuple[str, ...] = ("psnr", "ssim", "flip")
+    metrics: tuple[str, ...] = ("psnr", "ssim", "flip", "flicker")
     """Names of `metrics.METRICS`."""
     device: str = "cpu"
     compile: bool = False
+    scale: float | None = None
+    """Size of the images divided by the size of the frames; None: that of the references where every frame is shaded,
+    else what the method makes unasked."""
 
 
 def evaluate(clips: Sequence[Clip], methods: Sequence[str], mode: Mode, settings: Settings = Settings()) -> list[Row]:
@@ -73,17 +77,20 @@ def jobs(
         done: rows of an earlier run; a clip and method that has all its metrics there is not run again.
     """
     _check_metrics(settings.metrics)
-    made = {name: method_named(name) for name in methods}
-    if not made or not clips:
+    if not methods or not clips:
         raise ValueError("nothing to evaluate; give at least one clip and one method")
     for clip in clips:
-        for name, method in made.items():
+        scale = scale_for(clip, mode, settings)
+        for name in methods:
+            method = method_named(name, scale)
             require_mode(name, method, mode)
             require(clip, name, method)
         _check_length(clip, mode)
     for label, clip in zip(labels(clips), clips, strict=True):
-        for name in made:
-            found = [row for row in done if (row.method, row.clip, row.mode) == (name, label, mode)]
+        for name in dict.fromkeys(methods):
+            scale = scale_of(method_named(name, scale_for(clip, mode, settings)))
+            key = (name, label, mode, scale)
+            found = [row for row in done if (row.method, row.clip, row.mode, row.scale) == key]
             complete = {row.metric for row in found} >= {*settings.metrics, "milliseconds"}
             yield found if complete else evaluate_clip(clip, label, name, mode, settings)
 
@@ -91,23 +98,68 @@ def jobs(
 def evaluate_clip(clip: Clip, label: str, name: str, mode: Mode, settings: Settings = Settings()) -> list[Row]:
     """Rows of one method, by name, on one clip at full rate, which the rows call `label`."""
     read = lru_cache(maxsize=4)(clip.__getitem__)
+    method = method_named(name, scale_for(clip, mode, settings))
     values: dict[tuple[Role, str, str], list[float]] = defaultdict(list)
     times: dict[Role, list[float]] = defaultdict(list)
-    for output in outputs(clip, method_named(name), mode, settings, read):
+    before: Shown | None = None
+    for output in outputs(clip, method, mode, settings, read):
         role: Role = "generated" if output.generated else "shaded"
         times[role].append(output.milliseconds)
         index = index_at(clip, output.time)
-        if output.generated and not counts(clip, index, mode):
-            continue
-        image, target = to_display(output.image), to_display(_target(clip, index, output, read))
-        masks = regions(clip, index, mode, read) if output.generated else {"all": None}
-        fitted = {region: _resized(mask, image) for region, mask in masks.items()}
-        for (region, metric), value in measure(image, target, settings.metrics, fitted).items():
-            values[role, region, metric].append(value)
+        now = Shown(index, to_display(output.image), to_display(_target(clip, index, output, read)))
+        if not output.generated or counts(clip, index, mode):
+            for (region, metric), value in compared(clip, now, before, role, mode, settings, read).items():
+                values[role, region, metric].append(value)
+        before = now
     averages = {key: statistics.fmean(found) for key, found in values.items()}
     for role, spent in times.items():
         averages[role, "all", "milliseconds"] = statistics.median(spent[min(WARMUP, len(spent) - 1) :])
-    return [Row(name, label, mode, *key, value) for key, value in averages.items()]
+    return [Row(name, label, mode, *key, value, scale_of(method)) for key, value in averages.items()]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One image as displayed, and what it should have been."""
+
+    index: int
+    image: Float[Tensor, "1 3 H W"]
+    target: Float[Tensor, "1 3 H W"]
+
+
+def compared(
+    clip: Clip, now: Shown, before: Shown | None, role: Role, mode: Mode, settings: Settings, read: Read
+) -> dict[tuple[str, str], float]:
+    """Values of one image by (region, metric); those over time where the image before it belongs to the same shot."""
+    still = [name for name in settings.metrics if not METRICS[name].temporal]
+    moving = [name for name in settings.metrics if METRICS[name].temporal]
+    equal = torch.equal(now.image, now.target)
+    others = [read(i) for i in neighbours(clip, now.index, role, mode)]
+    masks = {"all": None} if equal and role == "shaded" else regions(clip, now.index, read(now.index), others)
+    fitted = {region: _resized(mask, now.image) for region, mask in masks.items()}
+    values = measure(now.image, now.target, still, fitted)
+    if moving and before is not None and (changes := change(clip, before, now, read)) is not None:
+        image, target, seen = changes
+        values |= measure(image, target, moving, {r: seen if m is None else seen & m for r, m in fitted.items()})
+    return values
+
+
+def change(
+    clip: Clip, before: Shown, now: Shown, read: Read
+) -> tuple[Float[Tensor, "1 3 H W"], Float[Tensor, "1 3 H W"], Bool[Tensor, "1 1 H W"]] | None:
+    """What changed since the image before along true motion: in the image, in the truth, and where both show it.
+
+    None at a cut, and where motion to that frame is not known.
+    """
+    frame = read(now.index)
+    if frame.motion is None or frame.depth is None or before.index != now.index - 1 or clip.is_cut(now.index):
+        return None
+    height, width = frame.motion.shape[-2:]
+    size = (now.image.shape[-2], now.image.shape[-1])
+    factor = torch.tensor([size[1] / width, size[0] / height]).view(1, 2, 1, 1)
+    motion = (F.interpolate(frame.motion, size, mode="bilinear") * factor).to(now.image.device)
+    seen = ~F.interpolate(hidden(frame, [read(before.index)]).float(), size).bool().to(motion.device) & inside(motion)
+    image, target = (new - warp(old, motion) for new, old in ((now.image, before.image), (now.target, before.target)))
+    return image, target, seen
 
 
 def outputs(clip: Clip, method: Method, mode: Mode, settings: Settings, read: Read) -> Iterator[Output]:
@@ -116,12 +168,12 @@ def outputs(clip: Clip, method: Method, mode: Mode, settings: Settings, read: Re
     Frames to generate are empty requests, or carry the hidden frame's G-buffers where the method needs them.
     """
     exact = method.step_motion and "motion_next" in clip.layers
-    view = clip.every(RATE, motion="step" if exact else "gap")
+    view = clip if mode == "pass" else clip.every(RATE, motion="step" if exact else "gap")
 
-    def hidden(time: float) -> Frame:
+    def requested(time: float) -> Frame:
         return unshaded(read(index_at(clip, time))) if method.needs_generated else moment(time)
 
-    groups = schedule((view[i] for i in range(len(view))), RATE, mode, hidden)
+    groups = schedule((view[i] for i in range(len(view))), RATE, mode, requested)
     return stream(method, groups, device=settings.device, compile=settings.compile)
 
 
@@ -136,23 +188,17 @@ def counts(clip: Clip, index: int, mode: Mode) -> bool:
     return first >= 0 and index + 1 < len(clip) and not any(clip.is_cut(i) for i in range(first + 1, last + 1))
 
 
-def regions(clip: Clip, index: int, mode: Mode, read: Read) -> dict[str, Bool[Tensor, "1 1 h w"] | None]:
-    """Masks of the regions of a hidden frame, None for all pixels.
+def neighbours(clip: Clip, index: int, role: Role, mode: Mode) -> tuple[int, ...]:
+    """The shaded frames that could show what an image shows, besides itself."""
+    if role == "shaded":
+        last = index - (1 if mode == "pass" else RATE)
+        return (last,) if last >= 0 and not any(clip.is_cut(i) for i in range(last + 1, index + 1)) else ()
+    return (index - 1,) if mode == "extrapolate" else (index - 1, index + 1)
 
-    "disoccluded": the surface is not visible in at least one of the shaded frames that the mode could use, from the
-    true motion of the hidden frame (towards the next frame the straight continuation, where the clip has no
-    `motion_next`). Left out where the clip has no depth or motion.
-    """
-    frame = read(index)
-    if frame.depth is None or frame.motion is None:
-        return {"all": None}
-    path = trajectory(frame.motion, frame.motion_next, frame.span)
-    mask = torch.zeros_like(frame.depth, dtype=torch.bool)
-    for neighbour in (index - 1,) if mode == "extrapolate" else (index - 1, index + 1):
-        other = read(neighbour)
-        if other.depth is not None:
-            mask |= disoccluded(frame.depth, other.depth, path.displacement(other.time - frame.time))
-    return {"all": None, "disoccluded": mask}
+
+def scale_for(clip: Clip, mode: Mode, settings: Settings) -> float | None:
+    """The scale that methods are built for; None: their own."""
+    return settings.scale or (clip.scale if mode == "pass" else None)
 
 
 def index_at(clip: Clip, time: float) -> int:
@@ -225,27 +271,29 @@ def command(
     clips: Positional[tuple[Path, ...]],
     methods: str = "",
     mode: Mode = "interpolate",
+    scale: float | None = None,
     json: Path | None = None,
-    metrics: str = "psnr,ssim,flip",
+    metrics: str = "psnr,ssim,flip,flicker",
     device: str = "cpu",
     compile: bool = False,
 ) -> None:
-    """Hide every second frame of clips, generate it, and compare with what was hidden.
+    """Hide every second frame of clips, generate it, and compare with what was hidden; or compare sizes.
 
     Interrupted and started again with the same --json, it goes on where it was.
 
     Args:
         clips: clips, or folders of rendered EXR files.
         methods: names separated by commas; by default every one that can run on all of the clips in this mode.
-        mode: where generated frames come from.
+        mode: where generated frames come from; pass hides none and compares each with its reference.
+        scale: size of the images divided by that of the frames; with --mode pass by default that of the references.
         json: file for the rows.
-        metrics: names separated by commas: psnr, ssim, flip, lpips.
+        metrics: names separated by commas: psnr, ssim, flip, flicker, lpips.
         device: cpu, cuda, mps.
         compile: compile the methods (their first frames take longer and are not timed).
     """
     opened = [open_any(path) for path in clips]
-    names = _names(methods) or fitting(opened, mode)
-    settings = Settings(_available(_names(metrics)), device, compile)
+    settings = Settings(_available(_names(metrics)), device, compile, scale)
+    names = _names(methods) or fitting(opened, mode, [scale_for(clip, mode, settings) for clip in opened])
     part = json and json.with_name(f".{json.stem}.part{json.suffix}")
     rows: list[Row] = []
     done = read_results(part) if part and part.is_file() else []

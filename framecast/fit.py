@@ -1,6 +1,7 @@
 """Which methods can run on which clip, and what to do where one cannot."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from framecast.clip import Clip, ClipError
@@ -22,15 +23,32 @@ PASSES = {
 """Render passes that become a field, by their names in Blender; other fields have no pass there."""
 
 
-def method_named(name: str) -> Method:
-    """A new instance of a method, or one sentence that lists what there is."""
+def method_named(name: str, scale: float | None = None) -> Method:
+    """A new instance of a method for a scale (by default its own), or one sentence on what there is."""
     if name not in METHODS:
         raise ValueError(f"there is no method {name!r}; use one of {', '.join(METHODS)}")
-    return METHODS[name]()
+    method: Method = METHODS[name]()
+    if scale is None or scale == scale_of(method):
+        return method
+    if scale not in method.scales:
+        able = [other for other, make in METHODS.items() if scale in make().scales]  # type: ignore[operator]
+        sizes = ", ".join(f"{s:g}" for s in method.scales)
+        advice = f", or one of {', '.join(able)}" if able else ""
+        raise ValueError(
+            f"{name} cannot make {scale:g} times the size (it can make {sizes}); use another scale{advice}"
+        )
+    other: Method = type(method)(replace(method.config, scale=scale))
+    other.load_state_dict(method.state_dict())
+    return other
+
+
+def scale_of(method: Method) -> float:
+    """Output size divided by input size of a method as it was built."""
+    return float(getattr(getattr(method, "config", None), "scale", 1.0))
 
 
 def supports(method: Method, mode: Mode) -> bool:
-    """Whether a method can run in a mode; mixed needs both of the others."""
+    """Whether a method can run in a mode; mixed needs interpolation and extrapolation."""
     return all(one in method.modes for one in (("interpolate", "extrapolate") if mode == "mixed" else (mode,)))
 
 
@@ -51,10 +69,12 @@ def lacking(clip: Clip, method: Method) -> tuple[str, ...]:
     return tuple(field for field in dict.fromkeys((*method.needs, *method.needs_generated)) if field not in present)
 
 
-def fitting(clips: Sequence[Clip], mode: Mode) -> tuple[str, ...]:
-    """Names of the methods that can run on all of the clips in a mode."""
-    made = {name: make() for name, make in METHODS.items()}
-    return tuple(n for n, m in made.items() if supports(m, mode) and not any(lacking(clip, m) for clip in clips))
+def fitting(clips: Sequence[Clip], mode: Mode, scales: Sequence[float | None] = ()) -> tuple[str, ...]:
+    """Names of the methods that can run on all of the clips in a mode, and at each of the scales that is not None."""
+    made: dict[str, Method] = {name: make() for name, make in METHODS.items()}
+    wanted = {scale for scale in scales if scale is not None}
+    able = {name: m for name, m in made.items() if supports(m, mode) and wanted <= {*m.scales, scale_of(m)}}
+    return tuple(name for name, m in able.items() if not any(lacking(clip, m) for clip in clips))
 
 
 def require(clip: Clip, name: str, method: Method) -> None:

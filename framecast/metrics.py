@@ -41,6 +41,8 @@ class Metric:
     perfect: float
     """Value of equal images."""
     value: Callable[[Tensor], Tensor] = lambda average: average
+    temporal: bool = False
+    """It compares how images change along true motion, not images."""
 
 
 def average(maps: Maps, mask: Bool[Tensor, "b 1 h w"] | None = None) -> Float[Tensor, " b"]:
@@ -186,8 +188,10 @@ METRICS: dict[str, Metric] = {
     "ssim": Metric(lambda a, b: (ssim_map(a, b),), True, 1.0),
     "flip": Metric(lambda a, b: (flip_map(a, b),), False, 0.0),
     "lpips": Metric(lpips_maps, False, 0.0),
+    "flicker": Metric(lambda a, b: ((a - b).abs().mean(1, keepdim=True),), False, 0.0, temporal=True),
 }
-"""Every metric of one image pair by name; for lpips see `lpips_missing`."""
+"""Every metric by name; for lpips see `lpips_missing`. flicker takes what changed since the image before, and what
+should have: 0 where an image is wrong in the same way in every frame."""
 
 
 def psnr(

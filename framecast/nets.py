@@ -67,7 +67,8 @@ def _summed(values: Tensor) -> Tensor:
 class GatedConv(nn.Module):
     """Light-weight gated convolution: values times one mask for all channels, O = conv_f(X) * sigmoid(conv_m(X)).
 
-    Guo et al. 2021, section 4.3. 3 x 3. One convolution computes both, the mask as its last channel. What follows the product (normalisation, rectifier) is `norm`.
+    Guo et al. 2021, section 4.3. 3 x 3. One convolution computes both, the mask as its last channel. What follows the
+    product (normalisation, rectifier) is `norm`.
     """
 
     def __init__(self, inputs: int, outputs: int, *, stride: int = 1, norm: bool = True) -> None:

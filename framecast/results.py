@@ -19,7 +19,7 @@ VERSION = 1
 MEAN = "mean"
 """Name under which `with_means` gives the mean over clips."""
 
-Mode = Literal["interpolate", "extrapolate", "mixed"]
+Mode = Literal["interpolate", "extrapolate", "mixed", "pass"]
 Role = Literal["shaded", "generated"]
 
 DIGITS = {"psnr": 2, "milliseconds": 1}
@@ -39,6 +39,8 @@ class Row:
     metric: str
     """A name of `metrics.METRICS`, or "milliseconds" (the median time of the method for one frame)."""
     value: float
+    scale: float = 1.0
+    """Size of the images divided by the size of the frames."""
 
 
 def write_results(path: Path | str, rows: Sequence[Row]) -> None:
@@ -96,8 +98,9 @@ def heading(region: str, metric: str) -> str:
 
 
 def columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
-    """(region, metric) of the rows, metrics of all pixels first, times last."""
-    found = dict.fromkeys((row.region, row.metric) for row in rows)
+    """(region, metric) of the rows, metrics of all pixels first, then the first metric of each region, times last."""
+    first = next((row.metric for row in rows if row.metric in METRICS), "")
+    found = dict.fromkeys((row.region, row.metric) for row in rows if row.region == "all" or row.metric == first)
     return sorted(found, key=lambda key: (key[1] not in METRICS, key[0] != "all"))
 
 
@@ -107,12 +110,12 @@ def tables(rows: Sequence[Row]) -> dict[str, Table]:
     A line for each method, the best in bold. Shaded frames have a table only where a method changed them.
     """
     several = len({row.clip for row in rows}) > 1
-    groups: dict[tuple[str, Role, str], list[Row]] = {}
+    groups: dict[tuple[str, Role, str, float], list[Row]] = {}
     for row in with_means(rows) if several else rows:
-        groups.setdefault((row.mode, row.role, row.clip), []).append(row)
+        groups.setdefault((row.mode, row.role, row.clip, row.scale), []).append(row)
     return {
-        f"{clip}: {role} frames, {mode}": _table(group)
-        for (mode, role, clip), group in groups.items()
+        f"{clip}: {role} frames, {mode}" + (f", {scale:g} times the size" if scale != 1 else ""): _table(group)
+        for (mode, role, clip, scale), group in groups.items()
         if role == "generated" or not _untouched(group)
     }
 

@@ -25,7 +25,7 @@ from torch import Tensor
 from framecast import exr
 from framecast.clip import Clip, ClipError
 from framecast.color import to_display
-from framecast.fit import method_named, require, require_mode
+from framecast.fit import method_named, require, require_mode, scale_of
 from framecast.frame import Frame
 from framecast.runtime import Mode, Output, latency, schedule, stream
 
@@ -41,6 +41,8 @@ class Job:
     """Frames out for each shaded frame in."""
     mode: Mode = "interpolate"
     format: Format = "exr"
+    scale: float | None = None
+    """Size of the images out divided by that of the frames in; None: what the method makes unasked."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,8 @@ class Made:
     """Median time of the method for a generated image; 0 where none was made."""
     latency_ms: float
     """How long images wait because of the mode, at the clip's speed."""
+    size: tuple[int, int]
+    """Height and width of the images."""
 
 
 def upsample(
@@ -71,7 +75,7 @@ def upsample(
     overwrite: bool = False,
     progress: Callable[[Iterable[int], int], Iterable[int]] = lambda indices, total: indices,
 ) -> Made:
-    """Write the clip at `job.rate` times its frame rate. Interrupted and called again, it goes on where it was.
+    """Write the clip at `job.rate` times its frame rate and `job.scale` times its size. Interrupted and called again, it goes on where it was.
 
     Args:
         out: a folder, or a file name for mp4.
@@ -84,7 +88,7 @@ def upsample(
     """
     if job.rate < 1:
         raise ValueError(f"rate is {job.rate}; it has to be a whole number, at least 1")
-    method = method_named(job.method)
+    method = method_named(job.method, job.scale)
     if job.mode != "pass":
         require_mode(job.method, method, job.mode)
         _require_nothing_between(job.method, method.needs_generated)
@@ -105,7 +109,8 @@ def upsample(
         shutil.rmtree(folder)
     wait = latency(job.rate, job.mode) * job.rate / plan.fps * 1e3
     typical = statistics.median(spent) if spent else 0.0
-    return Made(out, plan.total, plan.shaded, plan.fps, done, typical, wait)
+    height, width = (round(side * scale_of(method)) for side in clip.size)
+    return Made(out, plan.total, plan.shaded, plan.fps, done, typical, wait, (height, width))
 
 
 def _require_nothing_between(name: str, needs: Sequence[str]) -> None:

@@ -14,11 +14,12 @@ from conftest import disc_frame, write_disc_clip
 from framecast import evaluate as protocol
 from framecast.clip import Clip, ClipError, Record, finish, write_frame
 from framecast.color import to_display
-from framecast.evaluate import Settings, command, counts, evaluate, regions
+from framecast.evaluate import Settings, command, counts, evaluate, neighbours
 from framecast.fit import require
 from framecast.frame import Frame
 from framecast.methods import METHODS
 from framecast.metrics import psnr
+from framecast.regions import regions
 from framecast.results import Row, read_results, tables, with_means, write_results
 from framecast.runtime import Output, stream
 
@@ -31,6 +32,7 @@ class Probe(torch.nn.Module):
     needs: tuple[str, ...] = ("color",)
     needs_generated: tuple[str, ...] = ()
     modes: tuple[str, ...] = ("interpolate", "extrapolate")
+    scales: tuple[float, ...] = (1.0,)
     history: int | None = 1
     step_motion: bool = False
 
@@ -159,9 +161,10 @@ def test_disoccluded_is_what_a_neighbour_hides(disc_clip: Clip) -> None:
     before, both = brute_disoccluded(3, 2), brute_disoccluded(3, 2, 4)
     assert 0 < before.sum() < both.sum()
     for mode, truth in (("extrapolate", before), ("interpolate", both), ("mixed", both)):
-        assert torch.equal(regions(disc_clip, 3, mode, disc_clip.__getitem__)["disoccluded"][0, 0], truth)
+        others = [disc_clip[i] for i in neighbours(disc_clip, 3, "generated", mode)]
+        assert torch.equal(regions(disc_clip, 3, disc_clip[3], others)["disoccluded"][0, 0], truth)
     bare = without(disc_clip, "depth")
-    assert regions(bare, 3, "interpolate", bare.__getitem__) == {"all": None}
+    assert regions(bare, 3, bare[3], [bare[2]]) == {"all": None}
 
 
 def test_disoccluded_pixels_alone_make_the_regions_number(disc_clip: Clip, probe: Callable) -> None:
@@ -207,7 +210,8 @@ def test_two_runs_give_the_same_numbers(disc_clip: Clip) -> None:
         for _ in range(2)
     )
     assert first == second
-    assert len(first) == 2 * (6 + 3)  # generated frames in two regions, shaded ones in one
+    assert {row.region for row in first if row.role == "generated"} == {"all", "disoccluded", "border", "static"}
+    assert {row.region for row in first if row.role == "shaded"} == {"all"}
 
 
 def test_clips_that_share_a_name_are_told_apart(disc_clip: Clip, tmp_path: Path) -> None:
@@ -271,7 +275,7 @@ def test_results_are_read_as_written_and_other_files_are_refused(tmp_path: Path)
     held = json.loads(path.read_text())
     assert set(held) == {"version", "rows"}
     assert held["version"] == 1
-    assert list(held["rows"][0]) == ["method", "clip", "mode", "role", "region", "metric", "value"]
+    assert list(held["rows"][0]) == ["method", "clip", "mode", "role", "region", "metric", "value", "scale"]
     path.write_text(json.dumps({"version": 2, "rows": [{"new": 1}]}))
     with pytest.raises(ValueError, match=r"has version 2; this framecast reads version 1"):
         read_results(path)
@@ -315,7 +319,7 @@ def test_command_prints_tables_and_writes_the_rows(
     assert [p.name for p in tmp_path.glob("*.json")] == ["out.json"]
     printed = capsys.readouterr().out
     assert "disc: generated frames, extrapolate" in printed
-    assert f"hold, blend on disc, extrapolate -> {path} (10 rows)" in printed
+    assert f"hold, blend on disc, extrapolate -> {path} ({len(read_results(path))} rows)" in printed
 
 
 def test_command_goes_on_where_it_was_interrupted(

@@ -26,6 +26,7 @@ LEVELS = {
     "importers": 3,
     "data": 3,
     "metrics": 3,
+    "regions": 3,
     "render": 4,
     "fit": 4,
     "results": 4,

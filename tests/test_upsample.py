@@ -215,7 +215,7 @@ def test_evaluate_writes_rows(disc_clip: Clip, tmp_path: Path) -> None:
     results = json.loads(out.read_text())
     assert results["version"] == 1
     assert {tuple(sorted(row)) for row in results["rows"]} == {
-        ("clip", "method", "metric", "mode", "region", "role", "value")
+        ("clip", "method", "metric", "mode", "region", "role", "scale", "value")
     }
     value = {(r["method"], r["role"], r["region"], r["metric"]): r["value"] for r in results["rows"]}
     assert value["mobfgsr", "generated", "all", "psnr"] > value["hold", "generated", "all", "psnr"]

@@ -1,9 +1,11 @@
 """Every method by name. A method is `image, state = method(frame, state)`; `method.start(frame)` makes the first state.
 
 Its class says what it needs: `needs` (fields of `Frame` that every shaded frame carries), `needs_generated` (those that
-a frame to generate carries besides its time), `modes`, `history` (how many shaded frames determine an image; None: all
-since the last reset), `parts` (which of its methods
-the runtime compiles) and `step_motion` (whether vectors to the frames left out help it, where a clip has them).
+a frame to generate carries besides its time), `modes` ("interpolate" and "extrapolate" make frames that were not
+shaded, "pass" makes shaded ones better), `scales` (output size divided by input size that it can be built for, as
+`Config.scale`), `history` (how many shaded frames determine an image; None: all since the last reset), `parts` (which
+of its methods the runtime compiles) and `step_motion` (whether vectors to the frames left out help it, where a clip has
+them).
 """
 
 from collections.abc import Callable

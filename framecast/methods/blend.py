@@ -29,6 +29,7 @@ class Blend(nn.Module):
     needs: tuple[str, ...] = ("color",)
     needs_generated: tuple[str, ...] = ()
     modes: tuple[str, ...] = ("interpolate", "extrapolate")
+    scales: tuple[float, ...] = (1.0,)
     history: int | None = 2
     step_motion: bool = False
 

@@ -67,6 +67,7 @@ class BSR(nn.Module):
     needs: tuple[str, ...] = ("color", "depth", "motion")
     needs_generated: tuple[str, ...] = ()
     modes: tuple[str, ...] = ("interpolate", "extrapolate")
+    scales: tuple[float, ...] = (1.0,)
     history: int | None = 2
     step_motion: bool = False
 

@@ -145,6 +145,7 @@ class Network(nn.Module):
         self.up = nn.ModuleList(Up(x, x // 2, y) for x, y in zip(joined, (c, b, a), strict=True))
         self.leave = nn.Conv2d(a, 3, 1)
         nn.init.zeros_(self.leave.weight)
+        assert self.leave.bias is not None
         nn.init.zeros_(self.leave.bias)
 
     def forward(self, x: Float[Tensor, "b 18 h w"], past: tuple[Tensor, ...]) -> Float[Tensor, "b 3 h w"]:
@@ -168,6 +169,7 @@ class ExtraNet(nn.Module):
     needs: tuple[str, ...] = ("color", "albedo", "metallic", *GEOMETRY)
     needs_generated: tuple[str, ...] = ("albedo", "roughness", "metallic", *GEOMETRY)
     modes: tuple[str, ...] = ("extrapolate",)
+    scales: tuple[float, ...] = (1.0,)
     parts: tuple[str, ...] = ("remember", "prepare", "predict")
     history: int | None = 3
     step_motion: bool = False

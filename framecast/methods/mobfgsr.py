@@ -68,6 +68,7 @@ class MobFGSR(nn.Module):
     needs = ("color", "depth", "motion")
     needs_generated: tuple[str, ...] = ()
     modes = ("interpolate", "extrapolate")
+    scales: tuple[float, ...] = (1.0,)
     parts = ("shade", "interpolate", "extrapolate")
     history = 3
 

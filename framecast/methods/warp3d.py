@@ -67,6 +67,7 @@ class Warp3D(nn.Module):
     needs: tuple[str, ...] = ("color", "depth", "view", "projection")
     needs_generated: tuple[str, ...] = ()
     modes: tuple[str, ...] = ("interpolate", "extrapolate")
+    scales: tuple[float, ...] = (1.0,)
     history: int | None = 2
     step_motion: bool = False
 

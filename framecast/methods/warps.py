@@ -65,6 +65,7 @@ class Warp(nn.Module):
     needs: tuple[str, ...] = ("color",)
     needs_generated: tuple[str, ...] = ("motion",)
     modes: tuple[str, ...] = ("extrapolate",)
+    scales: tuple[float, ...] = (1.0,)
     parts: tuple[str, ...] = ("generate",)
     history: int | None = 1
     step_motion: bool = False
@@ -91,6 +92,7 @@ class OcclusionWarp(nn.Module):
     needs: tuple[str, ...] = ("color", "depth", "albedo", "metallic", "normal", "object", "view", "projection")
     needs_generated: tuple[str, ...] = (*GEOMETRY, "albedo", "metallic")
     modes: tuple[str, ...] = ("extrapolate",)
+    scales: tuple[float, ...] = (1.0,)
     parts: tuple[str, ...] = ("generate",)
     history: int | None = 1
     step_motion: bool = False
