@@ -9,7 +9,7 @@ import statistics
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -21,12 +21,15 @@ from rich.progress import Progress, TimeElapsedColumn
 from torch import Tensor
 from tyro.conf import Positional
 
+from framecast import __version__
+from framecast.bench import machine
 from framecast.clip import Clip, ClipError
 from framecast.color import to_display
 from framecast.fit import Method, fitting, method_named, require, require_mode, scale_of
 from framecast.frame import Frame, moment, unshaded
 from framecast.importers import open_any
 from framecast.metrics import METRICS, lpips_missing, measure
+from framecast.provenance import About, described, source
 from framecast.regions import hidden, regions
 from framecast.results import Mode, Role, Row, read_results, tables, write_results
 from framecast.runtime import Output, schedule, stream
@@ -106,7 +109,7 @@ def evaluate_clip(clip: Clip, label: str, name: str, mode: Mode, settings: Setti
         role: Role = "generated" if output.generated else "shaded"
         times[role].append(output.milliseconds)
         index = index_at(clip, output.time)
-        now = Shown(index, to_display(output.image), to_display(_target(clip, index, output, read)))
+        now = Shown(index, to_display(output.image), to_display(target(clip, index, output, read)))
         if not output.generated or counts(clip, index, mode):
             for (region, metric), value in compared(clip, now, before, role, mode, settings, read).items():
                 values[role, region, metric].append(value)
@@ -217,7 +220,7 @@ def index_at(clip: Clip, time: float) -> int:
     return nearest
 
 
-def _target(clip: Clip, index: int, output: Output, read: Read) -> Float[Tensor, "1 3 H W"]:
+def target(clip: Clip, index: int, output: Output, read: Read) -> Float[Tensor, "1 3 H W"]:
     """What an output should be: the hidden frame, for a shaded one the reference; the other one where sizes differ."""
     candidates = [read(index).color, clip.reference(index) if clip.scale is not None else None]
     for image in candidates if output.generated else reversed(candidates):
@@ -295,6 +298,7 @@ def command(
     settings = Settings(_available(_names(metrics)), device, compile, scale)
     names = _names(methods) or fitting(opened, mode, [scale_for(clip, mode, settings) for clip in opened])
     part = json and json.with_name(f".{json.stem}.part{json.suffix}")
+    about = made_from(opened, names, mode, settings) if part else None
     rows: list[Row] = []
     done = read_results(part) if part and part.is_file() else []
     with Progress(*Progress.get_default_columns(), TimeElapsedColumn(), transient=True) as progress:
@@ -303,7 +307,7 @@ def command(
             rows += found
             progress.advance(task)
             if part:
-                write_results(part, rows)
+                write_results(part, rows, about)
     console = Console()
     for title, table in tables(rows).items():
         console.print(f"\n{title}", table, highlight=False)
@@ -311,6 +315,13 @@ def command(
         part.replace(json)
     made = f"{', '.join(names)} on {', '.join(labels(opened))}, {mode}"
     console.print(f"{made} -> {json} ({len(rows)} rows)" if json else made, highlight=False, soft_wrap=True)
+
+
+def made_from(clips: Sequence[Clip], names: Sequence[str], mode: Mode, settings: Settings) -> About:
+    """What the rows of an evaluation are made from; reads every file of the clips once."""
+    methods = {name: described(method_named(name, scale_for(clips[0], mode, settings))) for name in names}
+    sources = {label: source(clip) for label, clip in zip(labels(clips), clips, strict=True)}
+    return About(sources, methods, asdict(settings), {"framecast": __version__, **machine(settings.device)})
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from framecast import exr
 from framecast.metrics import METRICS
+from framecast.provenance import About, read_about
 
 VERSION = 1
 """Of the results file."""
@@ -43,10 +44,11 @@ class Row:
     """Size of the images divided by the size of the frames."""
 
 
-def write_results(path: Path | str, rows: Sequence[Row]) -> None:
-    """Rows as JSON, the whole file or nothing."""
+def write_results(path: Path | str, rows: Sequence[Row], about: About | None = None) -> None:
+    """Rows as JSON with what they were made from, the whole file or nothing."""
+    held = {"version": VERSION, "rows": [asdict(row) for row in rows], **({"about": asdict(about)} if about else {})}
     with exr.whole(Path(path)) as temporary:
-        temporary.write_text(json.dumps({"version": VERSION, "rows": [asdict(row) for row in rows]}, indent=1) + "\n")
+        temporary.write_text(json.dumps(held, indent=1) + "\n")
 
 
 def read_results(path: Path | str) -> list[Row]:
@@ -55,27 +57,34 @@ def read_results(path: Path | str) -> list[Row]:
     Raises:
         FileNotFoundError: no such file. ValueError: not a results file, or one of another version.
     """
-    path = Path(path)
+    return _read(Path(path))[0]
+
+
+def read_provenance(path: Path | str) -> About | None:
+    """What the rows of a file were made from; None where it does not say. Raises as `read_results` does."""
+    return _read(Path(path))[1]
+
+
+def _read(path: Path) -> tuple[list[Row], About | None]:
     advice = f"make one with: framecast evaluate CLIP --json {path}"
     if not path.is_file():
         raise FileNotFoundError(f"{path} is no file; {advice}")
     try:
         held = json.loads(path.read_text())
-        version = held["version"]
-        rows = [Row(**row) for row in held["rows"]] if version == VERSION else []
-    except (json.JSONDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:
+        if held["version"] == VERSION:
+            about = held.get("about")
+            return [Row(**row) for row in held["rows"]], read_about(about) if about else None
+    except (json.JSONDecodeError, AttributeError, KeyError, TypeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is no results file ({type(error).__name__}: {error}); {advice}") from error
-    if version != VERSION:
-        raise ValueError(f"{path} has version {version}; this framecast reads version {VERSION}: {advice}")
-    return rows
+    raise ValueError(f"{path} has version {held['version']}; this framecast reads version {VERSION}: {advice}")
 
 
 def with_means(rows: Sequence[Row]) -> list[Row]:
     """The rows, then for each method and number the mean over its clips, under the clip name MEAN."""
-    groups: dict[Row, list[float]] = {}
+    found: dict[Row, list[float]] = {}
     for row in rows:
-        groups.setdefault(replace(row, clip=MEAN, value=0.0), []).append(row.value)
-    return [*rows, *(replace(row, value=statistics.fmean(values)) for row, values in groups.items())]
+        found.setdefault(replace(row, clip=MEAN, value=0.0), []).append(row.value)
+    return [*rows, *(replace(row, value=statistics.fmean(values)) for row, values in found.items())]
 
 
 def shown(values: Mapping[str, float], metric: str) -> dict[str, tuple[str, bool]]:
@@ -109,13 +118,18 @@ def tables(rows: Sequence[Row]) -> dict[str, Table]:
 
     A line for each method, the best in bold. Shaded frames have a table only where a method changed them.
     """
+    return {title: _table(group) for title, group in groups(rows).items()}
+
+
+def groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """The rows of each table by its title."""
     several = len({row.clip for row in rows}) > 1
-    groups: dict[tuple[str, Role, str, float], list[Row]] = {}
+    found: dict[tuple[str, Role, str, float], list[Row]] = {}
     for row in with_means(rows) if several else rows:
-        groups.setdefault((row.mode, row.role, row.clip, row.scale), []).append(row)
+        found.setdefault((row.mode, row.role, row.clip, row.scale), []).append(row)
     return {
-        f"{clip}: {role} frames, {mode}" + (f", {scale:g} times the size" if scale != 1 else ""): _table(group)
-        for (mode, role, clip, scale), group in groups.items()
+        f"{clip}: {role} frames, {mode}" + (f", {scale:g} times the size" if scale != 1 else ""): group
+        for (mode, role, clip, scale), group in found.items()
         if role == "generated" or not _untouched(group)
     }
 

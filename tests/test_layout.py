@@ -29,6 +29,7 @@ LEVELS = {
     "regions": 3,
     "render": 4,
     "fit": 4,
+    "provenance": 4,
     "results": 4,
     "checkpoint": 4,
     "upsample": 5,
