@@ -11,29 +11,99 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
+from types import ModuleType
 
 from framecast import exr
 from framecast.clip import HALF, Clip, ClipError, Layers, Record, finish, open_clip, repaired, write_frame
 from framecast.frame import BUFFERS
-from framecast.importers import blender
+from framecast.importers import arm, blender, extranet, images, mitsuba, mobfgsr, stssnet, unity, unreal
+from framecast.importers.folder import Listing, open_folder
+from framecast.importers.readings import fitting
+from framecast.importers.settings import NAME, read_settings
 
-__all__ = ["describe", "open_any", "repairs", "save"]
+__all__ = ["SOURCES", "describe", "open_any", "repairs", "save"]
+
+SOURCES: dict[str, ModuleType] = {
+    "unreal": unreal,
+    "unity": unity,
+    "extranet": extranet,
+    "stssnet": stssnet,
+    "mobfgsr": mobfgsr,
+    "mitsuba": mitsuba,
+    "arm-nss": arm,
+}
+"""Sources that a folder may look like. Each module has `recognise` and, in words, what it LOOKS like."""
 
 
-def open_any(folder: Path | str, *, fps: float | None = None, repair: bool = False) -> Clip:
-    """The clip in a folder: our own where there is a clip.json, else a Blender shot.
+def open_any(
+    folder: Path | str,
+    *,
+    fps: float | None = None,
+    repair: bool = False,
+    source: str | None = None,
+    settings: Path | str | None = None,
+) -> Clip:
+    """The clip in a folder: our own where there is a clip.json; else as settings say; else as what it looks like.
 
     Args:
         fps: frames a second of a shot that does not tell, or tells wrongly; None: as found.
         repair: replace NaN and infinite pixels in place of refusing them.
+        source: blender, generic (settings), or a name of `SOURCES`; None: found out.
+        settings: a settings file; None: `framecast-import.json` of the folder, if there is one.
 
     Raises:
         FileNotFoundError: no such folder. ClipError: nothing in it that can be used; the message says why.
     """
-    if (Path(folder) / "clip.json").is_file():
+    folder = Path(folder)
+    if source is None and settings is None and (folder / "clip.json").is_file():
         clip = open_clip(folder, repair=repair)
         return clip if fps is None else replace(clip, fps=fps)
-    return blender.open_shot(folder, fps=fps, repair=repair)
+    if source not in (None, "blender", "generic", *SOURCES):
+        raise ClipError(f"{source} is not known; import from blender, generic, {', '.join(SOURCES)}")
+    if settings is not None and source not in (None, "generic"):
+        raise ClipError(f"a settings file tells everything; leave --from {source} out, or the settings")
+    if settings is not None or source == "generic" or (source is None and (folder / NAME).is_file()):
+        return open_folder(folder, read_settings(folder if settings is None else settings), fps=fps, repair=repair)
+    if source == "blender" or (source is None and _is_blenders(folder)):
+        return blender.open_shot(folder, fps=fps, repair=repair)
+    listing = Listing(folder)
+    if source is None and not listing.names:
+        return blender.open_shot(folder)  # says what is needed
+    for name in SOURCES if source is None else (source,):
+        if found := SOURCES[name].recognise(listing):
+            fitted = fitting(folder, found)
+            return open_folder(folder, fitted.settings, fitted.poses, fps=fps, repair=repair)
+    raise ClipError(_unrecognised(listing, source))
+
+
+def _is_blenders(folder: Path) -> bool:
+    """Whether a numbered EXR file of the folder has passes that only Blender names so, or none is of another kind."""
+    if (folder / "shot.json").is_file():
+        return True
+    files = [path for path in sorted(folder.glob("*.exr")) if not path.name.startswith(".")] if folder.is_dir() else []
+    for path in files[:1]:
+        header = exr.header(path)
+        named = {name.rpartition(".")[0].rpartition(".")[2].lower() for name in header.names}
+        return bool(
+            named & {"combined", "vector", "denoising albedo", "indexob"}
+        ) or "Blender" in header.attributes.get("Software", "")
+    return False
+
+
+def _unrecognised(listing: Listing, source: str | None) -> str:
+    """What was looked for, what there is, and what to do."""
+    looks = {name: module.LOOKS for name, module in SOURCES.items()}
+    sought = looks[source] if source else "Blender passes (Combined, Vector); " + "; ".join(looks.values())
+    patterns = listing.patterns()
+    what = f"{len(listing.names)} image files" if listing.names else "no image file"
+    such = ""
+    if patterns:
+        pattern, name = next(iter(patterns.items()))
+        such = f", such as {pattern} with the channels {images.short(images.about(listing.folder / name).names)}"
+    return (
+        f"{listing.folder} is not recognised: it holds {what}{such}; looked for {sought}. "
+        f"Let framecast doctor {listing.folder} find out what the files mean, or write a {NAME} (docs/importers.md)"
+    )
 
 
 def describe(clip: Clip, methods: Mapping[str, Sequence[str]]) -> str:
@@ -123,7 +193,7 @@ def _begin(part: Path, identity: str) -> None:
 
 def _identity(clip: Clip, repair: bool, full: bool) -> str:
     """Changes when the source's files or the options do."""
-    files = [*clip.path.glob("*.*"), *clip.path.glob("frames/*.exr")]
+    files = [path for depth in ("*.*", "*/*.*", "*/*/*.*") for path in clip.path.glob(depth)]
     stats = sorted((str(p), p.stat().st_size, p.stat().st_mtime_ns) for p in files if p.is_file())
     about = [str(clip.path.resolve()), clip.fps, repair, full, stats, [asdict(record) for record in clip.records]]
     return sha256(json.dumps(about).encode()).hexdigest()

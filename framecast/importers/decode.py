@@ -33,7 +33,7 @@ def decode(
     settings: Settings,
     here: Record,
     previous: Record | None = None,
-    next: Record | None = None,
+    following: Record | None = None,
 ) -> Layers:
     """One frame: numbers as stored, by field name, to the fields of `Frame`.
 
@@ -42,8 +42,8 @@ def decode(
 
     Args:
         stored: `c h w` for each buffer, rows and channels as the settings say, 8 and 16-bit pixels as 0..1.
-        here, previous, next: jitter and cameras of the frame and its neighbours; None: beyond the end. `here.exposure`
-            is what colour shall hold, `here.extra["exposure"]` what it holds in the file, where they differ.
+        here, previous, following: jitter and cameras of the frame and its neighbours; None: beyond the end.
+            `here.exposure` is what colour shall hold, `here.extra["exposure"]` what it holds in the file.
 
     Raises:
         ClipError: sizes of different shape, or a conversion that needs cameras or a field of view and has none.
@@ -51,7 +51,8 @@ def decode(
     raw = {name: _picture(pixels, settings) for name, pixels in stored.items()}
     if not raw:
         return {}
-    size = next_size(raw)
+    sizes = {name: (pixels.shape[1], pixels.shape[2]) for name, pixels in raw.items()}
+    size = sizes.get("color", next(iter(sizes.values())))
     out: Layers = {}
     if settings.color and "color" in raw:
         even = here.exposure / here.extra.get("exposure", here.exposure)
@@ -62,12 +63,15 @@ def decode(
         out["depth"] = decode_depth(_fit(raw["depth"], size), settings.depth, here.projection)
     for name, vectors, other in (
         ("motion", settings.motion, previous),
-        ("motion_next", settings.motion_next, next),
+        ("motion_next", settings.motion_next, following),
     ):
         if vectors and name in raw:
             own = (raw[name].shape[1], raw[name].shape[2])
             there = _camera_part(out.get("depth"), here, other)
             out[name] = decode_motion(_fit(raw[name], size), vectors, own, jitter_shift(here, other), there)
+    if "motion" not in out and settings.cameras and settings.cameras.motion:
+        still = _camera_part(out.get("depth"), here, previous)
+        out |= {} if still is None else {"motion": still.astype(np.float32)}
     if settings.normal and "normal" in raw:
         normal = decode_normal(_fit(raw["normal"], size), settings.normal, settings.axes, here.view)
         if normal is not None:
@@ -80,10 +84,11 @@ def decode(
     return out
 
 
-def next_size(raw: Mapping[str, np.ndarray]) -> tuple[int, int]:
-    """Height and width of the frame that these layers make: that of colour, else of the first."""
-    height, width = (raw["color"] if "color" in raw else next(iter(raw.values()))).shape[-2:]
-    return height, width
+def picture_size(sizes: Mapping[str, tuple[int, int]], settings: Settings) -> tuple[int, int]:
+    """Height and width of the frames that files of these sizes make: of colour, else of the first, after cropping."""
+    height, width = sizes.get("color", next(iter(sizes.values())))
+    columns, rows = settings.crop or (width, height)
+    return min(height, rows), min(width, columns)
 
 
 def _picture(pixels: np.ndarray, settings: Settings) -> np.ndarray:

@@ -136,6 +136,8 @@ class Cameras:
     file: str | None = None
     fov: float | None = None
     """Vertical field of view in degrees, where the file does not tell."""
+    motion: bool = False
+    """Where no vectors are stored, compute those of the camera's motion; right where nothing moves by itself."""
 
 
 @dataclass(frozen=True, kw_only=True)

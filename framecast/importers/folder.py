@@ -1,0 +1,320 @@
+"""A folder of image files and its `Settings` as a clip: what every importer shares.
+
+`open_folder` reads headers now and pixels when a frame is asked for. `Found` is what a source file of this package
+makes of a folder that it recognises.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from framecast.clip import Clip, Layers, Record, repaired
+from framecast.exr import ClipError
+from framecast.importers import images
+from framecast.importers.blender import FPS, ranges
+from framecast.importers.cameras import Pose, pose, read_poses
+from framecast.importers.decode import decode, decode_jitter, jitter_pixels, picture_size
+from framecast.importers.settings import Depth, Layer, Motion, Settings, layers
+
+MOST = 200_000
+"""Files that a folder is searched for."""
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Files of a folder and of the folders in it, by path relative to it."""
+
+    folder: Path
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Image files in order, hidden ones left out; raises FileNotFoundError where there is no such folder."""
+        if not self.folder.is_dir():
+            what = "a file" if self.folder.is_file() else "not there"
+            raise FileNotFoundError(f"{self.folder} is {what}; give the folder that holds the rendered files")
+        found = []
+        for depth in ("*", "*/*", "*/*/*", "*/*/*/*"):
+            for path in self.folder.glob(depth):
+                name = path.relative_to(self.folder).as_posix()
+                if path.suffix.lower() in images.EXTENSIONS and not any(p.startswith(".") for p in name.split("/")):
+                    found.append(name)
+                if len(found) > MOST:
+                    raise ClipError(f"{self.folder} holds more than {MOST} files; give the folder of one shot")
+        return tuple(sorted(found))
+
+    def numbered(self, pattern: str) -> dict[int, str]:
+        """Files that match a pattern, by frame number.
+
+        Raises:
+            ClipError: two sequences, or two files of one frame, match.
+        """
+        expression = re.compile(expressed(pattern))
+        groups: dict[tuple[str, ...], dict[int, str]] = {}
+        for name in self.names:
+            if match := expression.fullmatch(name):
+                numbers = groups.setdefault(tuple(v for k, v in match.groupdict().items() if k != "frame"), {})
+                number = int(match["frame"])
+                if number in numbers:
+                    raise ClipError(
+                        f"{self.folder} holds two files of frame {number}, {numbers[number]} and {name}; keep one"
+                    )
+                numbers[number] = name
+        if len(groups) > 1:
+            each = " and ".join(f"{next(iter(g.values()))} ... {ranges(g)}" for g in list(groups.values())[:4])
+            raise ClipError(
+                f"{self.folder} holds {len(groups)} sequences ({each}); put each shot into a folder of its own"
+            )
+        return dict(sorted(next(iter(groups.values())).items())) if groups else {}
+
+    def first(self, pattern: str) -> images.About | None:
+        """What the first file that matches a pattern says of itself; None where none does."""
+        expression = re.compile(expressed(pattern))
+        name = next((name for name in self.names if expression.fullmatch(name)), None)
+        return None if name is None else images.about(self.folder / name)
+
+    def patterns(self) -> dict[str, str]:
+        """File patterns of all numbered files, each with its first file; the last number of a name is the frame's."""
+        found: dict[str, str] = {}
+        for name in self.names:
+            parent, _, file = name.rpartition("/")
+            if match := re.fullmatch(r"(.*?)(\d+)(\D*\.\w+)", file):
+                pattern = f"{match[1]}{{frame}}{match[3]}"
+                found.setdefault(f"{parent}/{pattern}" if parent else pattern, name)
+        return found
+
+
+def expressed(pattern: str) -> str:
+    """A regular expression for a file pattern; letters match in any case."""
+    parts = re.split(r"(\{frame\}|\*)", pattern)
+    stars = iter(range(len(parts)))
+    text = [
+        r"(?P<frame>\d{1,9})"
+        if part == "{frame}"
+        else rf"(?P<s{next(stars)}>[^/]*)"
+        if part == "*"
+        else re.escape(part)
+        for part in parts
+    ]
+    return "(?i)" + "".join(text)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What an importer makes of a folder that it recognises."""
+
+    settings: Settings
+    poses: Mapping[int, Pose] = field(default_factory=dict)
+    """Cameras by frame number, where the files themselves tell."""
+    readings: Sequence[Motion] = ()
+    """Other readings of `settings.motion`, where the format leaves it open: the one that fits the pictures is taken."""
+
+
+def open_folder(
+    folder: Path | str,
+    settings: Settings,
+    poses: Mapping[int, Pose] | None = None,
+    *,
+    fps: float | None = None,
+    repair: bool = False,
+) -> Clip:
+    """The frames that settings describe, lazily read.
+
+    Args:
+        poses: cameras by frame number; None: from the file that the settings name, if any.
+        fps: frames a second, above what the settings say.
+        repair: replace NaN and infinite pixels in place of refusing them.
+
+    Raises:
+        FileNotFoundError: no such folder. ClipError: no file, a frame missing, only one, sizes or channels that differ,
+            8 bits of depth or motion; and, when read, what `decode` refuses.
+    """
+    listing = Listing(Path(folder))
+    told = layers(settings)
+    files = {name: _files(listing, name, layer) for name, layer in told.items()}
+    numbers = _numbers(listing.folder, told, files)
+    raw_sizes = {name: _checked(listing.folder, name, told[name], files[name], numbers) for name in told}
+    size = picture_size(raw_sizes, settings)
+    if poses is None:
+        poses = _poses(listing.folder, settings, size)
+    records = _records(numbers, settings, poses, size)
+    neighbours = dict(
+        zip((r.number for r in records), zip((None, *records), (*records[1:], None), strict=False), strict=False)
+    )
+
+    def load(record: Record) -> Layers:
+        stored = {name: _stored(listing.folder, told[name], files[name].get(record.number)) for name in told}
+        before, after = neighbours[record.number]
+        held = {name: pixels for name, pixels in stored.items() if pixels is not None}
+        try:
+            out = decode(held, settings, record, before, after)
+        except ClipError as error:
+            raise ClipError(f"frame {record.number} of {listing.folder}: {error}") from error
+        for name in told.keys() - held.keys():  # vectors at an end, which reach beyond the files
+            out[name] = np.zeros((2, *size), np.float32)
+        return repaired(out)[0] if repair else out
+
+    clip = Clip(
+        path=listing.folder,
+        fps=_rate(fps, settings),
+        size=size,
+        records=records,
+        load=load,
+        layers=(),
+        span=settings.span,
+        provenance={"source": settings.source, "notes": _notes(fps, settings, poses)},
+    )
+    return replace(clip, layers=tuple(load(records[min(1, len(records) - 1)])))
+
+
+def _files(listing: Listing, name: str, layer: Layer) -> dict[int, tuple[str, ...]]:
+    """File names of a buffer by the number of the frame that they belong to.
+
+    Raises:
+        ClipError: a pattern matches nothing, or one of several lacks a frame that another has.
+    """
+    found = []
+    for pattern in layer.files:
+        numbered = listing.numbered(pattern)
+        if not numbered:
+            held = f"{len(listing.names)} image files, such as {listing.names[0]}" if listing.names else "no image file"
+            raise ClipError(f"{listing.folder} has no file {pattern} for {name}; it holds {held}")
+        found.append(numbered)
+    if lack := sorted(set().union(*found) - set(found[0]).intersection(*found)):
+        raise ClipError(f"{listing.folder}: not all files of frame {lack[0]} for {name} are there; export it again")
+    return {number + layer.offset: tuple(numbered[number] for numbered in found) for number in found[0]}
+
+
+def _numbers(folder: Path, told: Mapping[str, Layer], files: Mapping[str, Mapping[int, tuple[str, ...]]]) -> list[int]:
+    """Numbers of the frames that are complete: every buffer is there; vectors may lack where they reach beyond an end.
+
+    Raises:
+        ClipError: a hole, a buffer that lacks a frame, or fewer than two frames.
+    """
+    solid = {name: set(found) for name, found in files.items() if not isinstance(told[name], Motion)} or {
+        name: set(found) for name, found in files.items()
+    }
+    frames = set[int]().union(*solid.values())
+    step = min((b - a for a, b in pairwise(sorted(frames))), default=1)
+    if missing := sorted(set(range(min(frames), max(frames), step)) - frames):
+        which = f"frame {ranges(missing)} is" if len(missing) == 1 else f"frames {ranges(missing)} are"
+        raise ClipError(f"{folder}: {which} missing in the middle (found {ranges(frames)}); export what is missing")
+    for name, found in files.items():
+        lack = frames - set(found)
+        if isinstance(told[name], Motion):
+            lack -= {min(frames), max(frames)}
+        elif told[name].offset:
+            lack = set()
+        if lack:
+            raise ClipError(f"{folder}: {name} lacks frame {ranges(lack)}, which other buffers have; export it again")
+    complete = sorted(frames.intersection(*solid.values()))
+    if len(complete) < 2:
+        raise ClipError(f"{folder} holds {len(complete)} frame of a sequence; give at least two, numbered in order")
+    return complete
+
+
+def _checked(
+    folder: Path, name: str, layer: Layer, files: Mapping[int, tuple[str, ...]], numbers: Sequence[int]
+) -> tuple[int, int]:
+    """Height and width of a buffer's files.
+
+    Raises:
+        ClipError: they differ, lack a channel, or hold depth or motion in 8 bits.
+    """
+    first: images.About | None = None
+    for number in numbers:
+        for file in files.get(number, ()):
+            about = images.about(folder / file)
+            first = first or about
+            if about.size != first.size:
+                (h, w), (height, width) = about.size, first.size
+                raise ClipError(
+                    f"{folder}: {file} is {w}x{h} but the first one is {width}x{height}; "
+                    f"all frames of a shot need one size, put the shots into separate folders"
+                )
+            if lack := [c for c in layer.channels if images.matching(about.names, c) is None]:
+                raise ClipError(
+                    f"{folder}: {file} lacks {', '.join(lack)} for {name} (it has {images.short(about.names)})"
+                )
+    assert first is not None  # every pattern matched a file
+    if first.bits == 8 and isinstance(layer, Depth | Motion) and layer.packing == "none":
+        raise ClipError(
+            f"{folder}: {name} is stored in 8 bits, whose 256 steps are too coarse; export 16 or 32 bits (EXR), "
+            f"or leave {name} out of the settings"
+        )
+    return first.size
+
+
+def _stored(folder: Path, layer: Layer, files: tuple[str, ...] | None) -> np.ndarray | None:
+    if files is None:
+        return None
+    parts = [images.read(folder / file, layer.channels) for file in files]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def _poses(folder: Path, settings: Settings, size: tuple[int, int]) -> dict[int, Pose]:
+    cameras = settings.cameras
+    if cameras is None or cameras.file is None:
+        return {}
+    return read_poses(folder / cameras.file, settings.axes, size, cameras.fov)
+
+
+def _records(
+    numbers: Sequence[int], settings: Settings, poses: Mapping[int, Pose], size: tuple[int, int]
+) -> tuple[Record, ...]:
+    """Times count the numbers in the file names; a cut in a frame that was left out is one of the next frame."""
+    out = []
+    lens = _lens(settings, size)
+    exposures = settings.color.exposure if settings.color else (1.0,)
+    cuts = {number for number, there in poses.items() if there.cut}
+    for index, (before, number) in enumerate(zip((numbers[0], *numbers), numbers, strict=False)):
+        here = poses.get(number, Pose())
+        held = here.exposure or exposures[index % len(exposures)]
+        first = poses.get(numbers[0], Pose()).exposure or exposures[0]
+        jitter = (
+            decode_jitter(settings.jitter, index, size)
+            if here.jitter is None
+            else jitter_pixels(here.jitter, settings.jitter, size)
+        )
+        out.append(
+            Record(
+                number=number,
+                time=float(number - numbers[0]),
+                jitter=jitter,
+                view=here.view,
+                projection=here.projection or lens.projection,
+                cut=not cuts.isdisjoint(range(before + 1, number + 1)),
+                exposure=first,
+                extra={} if held == first else {"exposure": held},
+            )
+        )
+    return tuple(out)
+
+
+def _lens(settings: Settings, size: tuple[int, int]) -> Pose:
+    fov = settings.cameras.fov if settings.cameras else None
+    return pose({"fov": fov}, settings.axes, size)
+
+
+def _rate(asked: float | None, settings: Settings) -> float:
+    if asked is not None and not asked > 0:
+        raise ValueError(f"{asked} frames a second were asked for; give a number above 0")
+    return asked or settings.fps or FPS
+
+
+def _notes(asked: float | None, settings: Settings, poses: Mapping[int, Pose]) -> list[str]:
+    """What a user should know of this folder, one sentence each."""
+    rate = f"{_rate(asked, settings):g} frames a second"
+    view_normals = settings.normal is not None and settings.normal.space == "view" and not poses
+    notes = {
+        f"{rate}, as asked": asked is not None,
+        f"{rate}, from the settings": asked is None and settings.fps is not None,
+        f"{rate}, assumed: nothing tells (say it with --fps)": asked is None and settings.fps is None,
+        "no normal: it is stored in view space, and no camera is known": view_normals,
+        "no cameras: methods that need them are not available": not poses,
+    }
+    return [*(note for note, holds in notes.items() if holds), *settings.notes]

@@ -1,0 +1,177 @@
+"""Image files of any kind as named channels: EXR, PNG, JPEG, npy and npz.
+
+EXR channels keep their names and numbers; 8 and 16-bit pixels become 0..1; the last axis of an array holds its
+channels, named 0, 1, 2 ...
+"""
+
+import warnings
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+import av
+import numpy as np
+from jaxtyping import Num
+from PIL import Image
+
+from framecast import exr
+from framecast.exr import ClipError
+
+LARGEST = 2**31
+"""Bytes that one array file may hold."""
+
+EXTENSIONS = (".exr", ".png", ".jpg", ".jpeg", ".npy", ".npz")
+
+
+@dataclass(frozen=True)
+class About:
+    """What an image file says of itself."""
+
+    size: tuple[int, int]
+    """Height and width in pixels."""
+    names: tuple[str, ...]
+    bits: int
+    """Bits of a channel: 8 and 16 for PNG and JPEG, 32 for everything that is stored as it is."""
+    text: dict[str, str]
+    """Text attributes of an EXR file."""
+
+
+def about(path: Path) -> About:
+    """Size, channel names and depth of a file, of EXR, PNG and npy files without reading pixels.
+
+    Raises:
+        FileNotFoundError: no such file. ClipError: not an image that can be read.
+    """
+    if path.suffix.lower() == ".exr":
+        header = exr.header(path)
+        return About(header.size, header.names, 32, header.attributes)
+    if path.suffix.lower() in (".npy", ".npz"):
+        height, width, count = _array(path).shape
+        return About((height, width), tuple(map(str, range(count))), 32, {})
+    with _opened(path) as image:
+        bits = 16 if _is_16_bit(path, image) else 8
+        return About((image.height, image.width), tuple(_letters(image)), bits, {})
+
+
+def read(path: Path, names: Sequence[str]) -> Num[np.ndarray, "n h w"]:
+    """These channels of a file; a name may differ in case where it is not ambiguous.
+
+    Raises:
+        FileNotFoundError: no such file. ClipError: it cannot be read, or lacks a channel.
+    """
+    if path.suffix.lower() == ".exr":
+        image = exr.read(path)
+        return np.stack([image.channels[_found(path, name, list(image.channels))] for name in names])
+    if path.suffix.lower() in (".npy", ".npz"):
+        pixels = _array(path)
+        held = list(map(str, range(pixels.shape[2])))
+    else:
+        pixels, held = _pixels(path)
+    index = [held.index(_found(path, name, held)) for name in names]
+    return np.ascontiguousarray(np.moveaxis(pixels[:, :, index], 2, 0))
+
+
+def _found(path: Path, name: str, held: list[str]) -> str:
+    """The channel of that name, in any case."""
+    if name in held:
+        return name
+    same = [other for other in held if other.casefold() == name.casefold()]
+    if len(same) == 1:
+        return same[0]
+    near = get_close_matches(name, held, 1)
+    meant = f"did you mean {near[0]}?" if near else f"it has {short(held)}"
+    raise ClipError(f"{path} has no channel {name}; {meant}")
+
+
+def matching(names: Sequence[str], wanted: str) -> str | None:
+    """The one name that equals `wanted` in any case, or None."""
+    same = [name for name in names if name.casefold() == wanted.casefold()]
+    return wanted if wanted in names else same[0] if len(same) == 1 else None
+
+
+def short(names: Sequence[str]) -> str:
+    """Names in a sentence, the first twelve."""
+    return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+
+
+def _refused(path: Path, error: Exception) -> ClipError:
+    return ClipError(f"{path} cannot be read ({type(error).__name__}: {error}); export or copy it again")
+
+
+def _opened(path: Path) -> Image.Image:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            return Image.open(path)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise _refused(path, error) from error
+
+
+def _letters(image: Image.Image) -> str:
+    return {"RGB": "RGB", "RGBA": "RGBA", "LA": "YA", "P": "RGB", "CMYK": "RGB"}.get(image.mode, "Y")
+
+
+def _is_16_bit(path: Path, image: Image.Image) -> bool:
+    """PNG says so in byte 24; the library reads 16-bit colour as 8 bits and keeps silent."""
+    with path.open("rb") as file:
+        return image.format == "PNG" and file.read(25)[24:] == b"\x10"
+
+
+def _pixels(path: Path) -> tuple[np.ndarray, list[str]]:
+    """Pixels `h w c` as 0..1, and the letters of the channels."""
+    with _opened(path) as image:
+        letters = _letters(image)
+        try:
+            if _is_16_bit(path, image):
+                return _deep(path, letters)
+            mode = {"YA": "LA", "Y": "L"}.get(letters, letters)
+            values = np.asarray(image if image.mode == mode else image.convert(mode), np.float32) / 255
+        except (OSError, ValueError, SyntaxError, EOFError) as error:
+            raise _refused(path, error) from error
+    return values.reshape(*values.shape[:2], -1), list(letters)
+
+
+def _deep(path: Path, letters: str) -> tuple[np.ndarray, list[str]]:
+    layout = {"Y": "gray16le", "RGB": "rgb48le", "RGBA": "rgba64le"}.get(letters, "rgba64le")
+    try:
+        with av.open(str(path)) as file:
+            values = next(file.decode(video=0)).to_ndarray(format=layout)
+    except (av.FFmpegError, StopIteration, ValueError) as error:
+        raise _refused(path, error) from error
+    pixels = values.reshape(*values.shape[:2], -1).astype(np.float32) / 65535
+    return pixels, list(letters) if len(letters) == pixels.shape[2] else list("RGBA")
+
+
+def _array(path: Path) -> np.ndarray:
+    """The one array of a file, `h w c`; nothing but numbers is ever unpickled."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist")
+    load: Callable[[Path], np.ndarray] = _archived if path.suffix.lower() == ".npz" else _mapped
+    try:
+        values = load(path)
+    except (OSError, ValueError, EOFError, KeyError, SyntaxError, MemoryError, zipfile.BadZipFile) as error:
+        raise _refused(path, error) from error
+    if values.dtype.kind not in "fiub" or values.ndim not in (2, 3) or 0 in values.shape:
+        raise ClipError(
+            f"{path} holds {values.dtype} of shape {values.shape}; it needs numbers, height x width x channels"
+        )
+    return values.reshape(*values.shape[:2], -1)
+
+
+def _mapped(path: Path) -> np.ndarray:
+    return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+
+
+def _archived(path: Path) -> np.ndarray:
+    with zipfile.ZipFile(path) as archive:
+        held = sum(entry.file_size for entry in archive.infolist())
+    if held > LARGEST:
+        raise ValueError(f"{held} bytes when unpacked")
+    with np.load(path, allow_pickle=False) as arrays:
+        if len(arrays.files) != 1:
+            raise ValueError(f"{len(arrays.files)} arrays in place of one")
+        return np.asarray(arrays[arrays.files[0]])
