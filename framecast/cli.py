@@ -14,6 +14,7 @@ from framecast.bench import command as bench
 from framecast.clip import Clip, check, mended
 from framecast.demo import demo
 from framecast.evaluate import command as evaluate
+from framecast.export_clip import command as export_clip
 from framecast.fit import method_named
 from framecast.importers import describe, open_any, repairs, save
 from framecast.methods import METHODS
@@ -102,18 +103,26 @@ def first_mode(method: str, fps: int | None) -> Mode:
 
 
 def import_shot(
-    shot: Positional[Path], out: Out, fps: float | None = None, repair: bool = False, full: bool = False
+    shot: Positional[Path],
+    out: Out,
+    source: Annotated[str | None, arg(name="from")] = None,
+    settings: Path | None = None,
+    fps: float | None = None,
+    repair: bool = False,
+    full: bool = False,
 ) -> None:
-    """Turn a folder of rendered EXR files into a clip, and say what it allows.
+    """Turn a folder of rendered files into a clip, and say what it allows.
 
     Args:
-        shot: folder of multilayer EXR files, as Blender writes them.
+        shot: folder of one shot, of a source that is known (docs/importers.md) or with a settings file.
         out: folder of the clip; it appears when it is complete.
+        source: blender, unreal, unity, extranet, stssnet, mobfgsr, mitsuba, arm-nss or generic; found out by default.
+        settings: what the files mean, as framecast doctor writes it; by default framecast-import.json in SHOT.
         fps: frames a second, where the files do not tell.
         repair: replace NaN and infinite pixels, and say how many.
         full: keep 32 bits of colour, albedo and normal in place of half floats.
     """
-    clip = open_any(shot, fps=fps)
+    clip = open_any(shot, fps=fps, source=source, settings=settings)
     print(describe(clip, {name: wanted(name) for name in METHODS}))
     saved = save(clip, out, repair=repair, full=full, progress=lambda indices: bar("import")(indices, len(indices)))
     mended = f", {repairs(saved)} NaN or infinite values replaced" if repair else ""
@@ -142,6 +151,7 @@ def check_clip(clip: Positional[Path]) -> None:
 COMMANDS: dict[str, Callable[..., Any]] = {
     "upsample": upsample,
     "import": import_shot,
+    "export-clip": export_clip,
     "check": check_clip,
     "evaluate": evaluate,
     "bench": bench,

@@ -15,7 +15,7 @@ from framecast.color import encode_srgb
 from framecast.exr import ClipError
 from framecast.frame import SKY
 from framecast.importers.decode import AXES, jitter_shift, ray_length
-from framecast.importers.settings import Color, Depth, Jitter, Motion, Normal, Scalar, Settings
+from framecast.importers.settings import Color, Depth, Jitter, Motion, Normal, Scalar, Settings, layers
 
 
 def encode(
@@ -152,3 +152,18 @@ def encode_jitter(pixels: tuple[float, float], jitter: Jitter, size: tuple[int, 
     """Sample position minus pixel centre in pixels as the pair that settings name; inverse of `jitter_pixels`."""
     x, y = {"pixels": (1.0, 1.0), "uv": (size[1], size[0]), "ndc": (size[1] / 2, size[0] / 2)}[jitter.units]
     return pixels[0] / jitter.sign[0] / x, pixels[1] / jitter.sign[1] / y
+
+
+def files(stored: Mapping[str, np.ndarray], settings: Settings, number: int) -> dict[str, dict[str, np.ndarray]]:
+    """Channels of the files of one frame, by file name: what `encode` made, laid out as the settings say.
+
+    Frame numbers have four digits. Patterns must not hold `*`.
+    """
+    out: dict[str, dict[str, np.ndarray]] = {}
+    for name, pixels in stored.items():
+        layer = layers(settings)[name]
+        planes = iter(pixels)
+        for pattern in layer.files:
+            file = out.setdefault(pattern.replace("{frame}", f"{number - layer.offset:04d}"), {})
+            file.update({channel: next(planes) for channel in layer.channels})
+    return out

@@ -6,7 +6,7 @@ channels, named 0, 1, 2 ...
 
 import warnings
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -175,3 +175,32 @@ def _archived(path: Path) -> np.ndarray:
         if len(arrays.files) != 1:
             raise ValueError(f"{len(arrays.files)} arrays in place of one")
         return np.asarray(arrays[arrays.files[0]])
+
+
+def write(path: Path, channels: Mapping[str, np.ndarray]) -> None:
+    """One image file, whole or not at all: EXR as the arrays are, PNG as 8 bits of 0..1, npy and npz as half floats.
+
+    Args:
+        channels: arrays `h w` by channel name; for npy and npz the names are places, and places in between are 0.
+
+    Raises:
+        ClipError: it cannot be written (no space, no permission).
+    """
+    kind = path.suffix.lower()
+    if kind == ".exr":
+        return exr.write(path, channels)
+    with exr.whole(path) as temporary:
+        if kind == ".png":
+            order = "".join(sorted(channels, key="RGBA".find))
+            pixels = np.stack([channels[name] for name in order], -1)
+            image = Image.fromarray(np.rint(np.clip(pixels, 0, 1) * 255).astype(np.uint8).squeeze())
+            image.save(temporary)
+            return None
+        planes = np.zeros((*next(iter(channels.values())).shape, max(map(int, channels)) + 1), np.float16)
+        for name, plane in channels.items():
+            planes[..., int(name)] = plane
+        if kind == ".npz":
+            np.savez_compressed(temporary, i=planes)
+        else:
+            np.save(temporary, planes)
+    return None
