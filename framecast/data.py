@@ -15,6 +15,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Literal
 
@@ -45,11 +46,12 @@ class Footage:
 
 @dataclass(frozen=True)
 class Batch:
-    """Samples of equal size: frames in arrival order, and what the last one should be."""
+    """Samples of equal size: frames in arrival order, and what the last ones should become."""
 
     frames: tuple[Frame, ...]
-    """The last one is to be generated."""
-    target: Float[Tensor, "b 3 H W"]
+    """Shaded ones and ones to generate, as `Recipe.mode` says."""
+    targets: Float[Tensor, "b n 3 H W"]
+    """What the last n frames should become."""
     names: tuple[str, ...]
     """Where each sample was taken from, for people."""
 
@@ -217,7 +219,9 @@ def flipped_image(image: Tensor, flip: Flip) -> Tensor:
 class Samples(Dataset[Batch]):
     """Every sample by its number; the same one for the same seed, on any machine and in any process."""
 
-    def __init__(self, sources: Sequence[Footage], recipe: Recipe, *, fields: Sequence[str], seed: int, scale: int = 1):
+    def __init__(
+        self, sources: Sequence[Footage], recipe: Recipe, *, fields: Sequence[str], seed: int, scale: float = 1
+    ):
         """`fields`: the buffers to read. `scale`: of the target; above 1 targets are crops of the references.
 
         Raises:
@@ -228,12 +232,12 @@ class Samples(Dataset[Batch]):
         self.starts = [_starts(source.clip, recipe) for source in sources]
         if not any(self.starts):
             raise ClipError(
-                f"none of the {len(sources)} clips holds {2 * recipe.shaded} frames of one shot, which a sample needs; "
+                f"none of the {len(sources)} clips holds {max(_places(recipe)) + 1} frames of one shot, which a sample needs; "
                 f"give longer clips"
             )
         for source in sources:
             if scale > 1 and source.clip.scale != scale:
-                raise ClipError(f"{source.clip.path} has no references {scale} times its size; render it with them")
+                raise ClipError(f"{source.clip.path} has no references {scale:g} times its size; render it with them")
 
     def __getitem__(self, number: int) -> Batch:
         """One sample, as a batch of one."""
@@ -242,43 +246,60 @@ class Samples(Dataset[Batch]):
         weights = np.array([len(starts) * size for starts, size in zip(self.starts, sizes, strict=True)], float)
         which = int(rng.choice(len(self.sources), p=weights / weights.sum()))
         source, start = self.sources[which], int(rng.choice(self.starts[which]))
-        size = tuple(min(a, b) for a, b in zip(self.recipe.crop, source.clip.size, strict=True))
-        corner = tuple(int(rng.integers(b - a + 1)) for a, b in zip(size, source.clip.size, strict=True))
-        frames, target = self.cut(source, start, (corner[0], corner[1]), (size[0], size[1]))
+        grid = Fraction(self.scale).limit_denominator(16).denominator  # corners that display pixels share
+        size = tuple(min(a, b) // grid * grid for a, b in zip(self.recipe.crop, source.clip.size, strict=True))
+        corner = tuple(
+            grid * int(rng.integers((b - a) // grid + 1)) for a, b in zip(size, source.clip.size, strict=True)
+        )
+        frames, targets = self.cut(source, start, (corner[0], corner[1]), (size[0], size[1]))
         square: tuple[Flip, ...] = ("transpose",) if size[0] == size[1] else ()
         for flip in (*square, "horizontal", "vertical"):
             if rng.random() < 0.5:
-                frames, target = [flipped(frame, flip) for frame in frames], flipped_image(target, flip)
+                frames, targets = [flipped(frame, flip) for frame in frames], flipped_image(targets, flip)
         gain = 2.0 ** float(rng.uniform(-self.recipe.stops, self.recipe.stops))
         bright = tuple(f if f.color is None else replace(f, color=f.color * gain) for f in frames)
         name = f"{source.clip.path.name}, frame {source.clip.shown[start].number}, row {corner[0]}, column {corner[1]}"
-        return Batch(bright, target * gain, (name,))
+        return Batch(bright, targets * gain, (name,))
 
     def cut(
         self, source: Footage, start: int, corner: tuple[int, int], size: tuple[int, int]
     ) -> tuple[list[Frame], Tensor]:
-        """Frames in arrival order from one place of a clip, and the target."""
+        """Frames in arrival order from one place of a clip, and the truth of the last ones."""
         part = window(source, corner, size, self.fields)
-        view = part.every(2, start=start)
-        hidden = _hidden(start, self.recipe)
-        last = part[hidden]
-        assert last.color is not None
-        target = last.color
-        if self.scale > 1:
-            (top, left), (height, width) = (tuple(self.scale * v for v in pair) for pair in (corner, size))
-            pixels = source.arrays["reference"][hidden, :, top : top + height, left : left + width]
-            target = torch.from_numpy(np.array(pixels, np.float32))[None]
-        return [*(view[i] for i in range(self.recipe.shaded)), unshaded(last)], target
+        view = part if self.recipe.mode == "pass" else part.every(2, start=start)
+        frames, targets = [], []
+        for place in _places(self.recipe):
+            if self.recipe.mode == "pass":
+                frames.append(view[start + place])
+            else:
+                frames.append(unshaded(part[start + place]) if place % 2 else view[place // 2])
+        for place in _places(self.recipe)[-self.recipe.truths :]:
+            targets.append(self.truth(source, start + place, corner, size))
+        return frames, torch.stack(targets, 1)
+
+    def truth(
+        self, source: Footage, index: int, corner: tuple[int, int], size: tuple[int, int]
+    ) -> Float[Tensor, "1 3 H W"]:
+        """What a frame of a clip should become there: its colour, or above scale 1 its reference."""
+        name = "reference" if self.scale > 1 else "color"
+        (top, left), (height, width) = (tuple(round(self.scale * v) for v in pair) for pair in (corner, size))
+        pixels = source.arrays[name][index, :, top : top + height, left : left + width]
+        return torch.from_numpy(np.array(pixels, np.float32))[None]
 
 
-def _hidden(start: int, recipe: Recipe) -> int:
-    """Index of the frame to generate in a sample that starts at `start`."""
-    return start + 2 * recipe.shaded - (1 if recipe.mode == "extrapolate" else 3)
+def _places(recipe: Recipe) -> list[int]:
+    """Frames of a sample in arrival order, counted from its first; odd ones are to be generated unless all are shaded."""
+    if recipe.mode == "pass":
+        return list(range(recipe.shaded))
+    if recipe.mode == "alternate":
+        return list(range(2 * recipe.shaded))
+    last = 2 * recipe.shaded - 1
+    return [*range(0, last, 2), last if recipe.mode == "extrapolate" else last - 2]
 
 
 def _starts(clip: Clip, recipe: Recipe) -> list[int]:
     """Where samples may start: no cut inside, every frame shaded."""
-    last = 2 * recipe.shaded - (1 if recipe.mode == "extrapolate" else 2)
+    last = max(_places(recipe))
     inside = range(len(clip) - last)
     return [s for s in inside if not any(clip.is_cut(i) for i in range(s + 1, s + last + 1))]
 
@@ -288,7 +309,7 @@ def joined(samples: Sequence[Batch]) -> Batch:
     columns = zip(*(sample.frames for sample in samples), strict=True)
     return Batch(
         tuple(concatenate(column) for column in columns),
-        torch.cat([sample.target for sample in samples]),
+        torch.cat([sample.targets for sample in samples]),
         tuple(name for sample in samples for name in sample.names),
     )
 

@@ -9,8 +9,8 @@ from torch import Tensor
 from framecast.frame import Frame
 
 Loss = Callable[[Any, Sequence[Frame], Tensor], dict[str, Tensor]]
-"""(method, frames in arrival order, truth of the last one) -> terms of the loss by name, scalars; their sum is
-minimised. The last frame is to be generated."""
+"""(method, frames in arrival order, truth of the last ones `b n 3 H W`) -> terms of the loss by name, scalars; their
+sum is minimised."""
 
 
 @dataclass(frozen=True)
@@ -18,10 +18,13 @@ class Recipe:
     """Loss, samples, optimiser and schedule; the defaults are ExtraNet's where it says."""
 
     loss: Loss
-    mode: Literal["extrapolate", "interpolate"] = "extrapolate"
-    """The frame to generate follows the last shaded one, or lies before it."""
+    mode: Literal["extrapolate", "interpolate", "alternate", "pass"] = "extrapolate"
+    """What a sample is: every second frame of the clip shaded, and one to generate after the last (extrapolate), before
+    it (interpolate) or after each of them (alternate); or consecutive frames, all shaded (pass)."""
     shaded: int = 3
-    """Shaded frames of a sample, every second frame of the clip."""
+    """Shaded frames of a sample."""
+    truths: int = 1
+    """Frames of a sample, the last ones, whose truth the loss gets."""
     crop: tuple[int, int] = (256, 256)
     """Height and width of a sample, pixels; smaller where the clip is smaller."""
     batch: int = 8

@@ -113,8 +113,8 @@ def improve(
 ) -> dict[str, Tensor]:
     """One step of the optimiser; the terms of the loss before it, averaged over the processes."""
     optimiser.zero_grad(set_to_none=True)
-    with torch.autocast(batch.target.device.type, torch.bfloat16, enabled=fast):
-        terms = recipe.loss(method, batch.frames, batch.target)
+    with torch.autocast(batch.targets.device.type, torch.bfloat16, enabled=fast):
+        terms = recipe.loss(method, batch.frames, batch.targets)
     torch.stack(list(terms.values())).sum().backward()
     share([p.grad for p in method.parameters() if p.grad is not None])
     norm = nn.utils.clip_grad_norm_(method.parameters(), recipe.clip_norm)
@@ -134,18 +134,18 @@ def guilty(method: Method, recipe: Recipe, batch: Batch) -> str:
     method.eval()
     found = []
     for k, name in enumerate(batch.names):
-        frames, target = one(batch, k)
+        frames, targets = one(batch, k)
         with torch.no_grad():
-            terms = recipe.loss(method, frames, target)
+            terms = recipe.loss(method, frames, targets)
         if not all(bool(torch.isfinite(term)) for term in terms.values()):
             found.append(name)
     return "; ".join(found or batch.names)
 
 
 def one(batch: Batch, index: int) -> tuple[tuple[Frame, ...], Tensor]:
-    """One sample of a batch: its frames and its target."""
+    """One sample of a batch: its frames and their truth."""
     alone: tuple[tuple[Frame, ...], Tensor] = tree_map_only(
-        Tensor, lambda t: t[index : index + 1], (batch.frames, batch.target)
+        Tensor, lambda t: t[index : index + 1], (batch.frames, batch.targets)
     )
     return alone
 
@@ -192,7 +192,7 @@ def share(tensors: Sequence[Tensor]) -> None:
 def to(batch: Batch, device: str) -> Batch:
     """The batch on a device."""
     frames = tuple(frame.to(device) for frame in batch.frames)
-    return Batch(frames, batch.target.to(device, non_blocking=True), batch.names)
+    return Batch(frames, batch.targets.to(device, non_blocking=True), batch.names)
 
 
 # The run folder.
@@ -318,7 +318,7 @@ def picture(method: Method, batch: Batch, path: Path) -> None:
     """The first sample of a batch as a strip: last shaded frame, generated image, truth, four times the difference."""
     from PIL import Image
 
-    frames, target = one(batch, 0)
+    frames, targets = one(batch, 0)
     method.eval()
     with torch.no_grad():
         state = method.start(frames[0])
@@ -328,7 +328,7 @@ def picture(method: Method, batch: Batch, path: Path) -> None:
     color = frames[-2].color
     assert color is not None
     last = nn.functional.interpolate(color, image.shape[-2:])
-    shown, truth = to_display(image), to_display(target)
+    shown, truth = to_display(image), to_display(targets[:, -1])
     strip = torch.cat((to_display(last), shown, truth, ((shown - truth).abs() * 4).clamp(max=1)), 3)
     with whole(path) as temporary:
         pixels = (strip[0].permute(1, 2, 0) * 255).round().byte().cpu().numpy()

@@ -212,12 +212,12 @@ def test_a_sample_is_three_shaded_frames_and_one_to_generate(source: Footage, mo
     assert [float(f.span) for f in sample.frames] == [2, 2, 2, 1]
     truth = source.clip[int(start) + hidden].color
     assert truth is not None
-    assert set(sample.target.flatten().tolist()) <= set(truth.flatten().tolist())
+    assert set(sample.targets.flatten().tolist()) <= set(truth.flatten().tolist())
 
 
 def test_exposure_is_one_factor_for_a_sample(source: Footage) -> None:
     plain, bright = samples(source, stops=0.0)[3], samples(source, stops=2.0)[3]
-    gain = bright.target / plain.target
+    gain = bright.targets / plain.targets
     assert float(gain.max() - gain.min()) < 1e-4
     assert abs(float(gain.mean()) - 1) > 1e-3
     for a, b in zip(plain.frames[:3], bright.frames[:3], strict=True):
@@ -243,14 +243,14 @@ def test_missing_references_are_refused(source: Footage) -> None:
 def test_workers_change_nothing(source: Footage) -> None:
     alone, helped = (list(batches(samples(source), 1, workers=n)) for n in (0, 2))
     assert len(alone) == 2
-    assert equal([(b.frames, b.target) for b in alone], [(b.frames, b.target) for b in helped])
+    assert equal([(b.frames, b.targets) for b in alone], [(b.frames, b.targets) for b in helped])
     assert [b.names for b in alone] == [b.names for b in helped]
 
 
 def test_processes_share_out_the_samples_of_a_step(source: Footage) -> None:
     whole = next(batches(samples(source), 2))
     parts = [next(batches(samples(source), 2, rank=rank, world=2)) for rank in (0, 1)]
-    assert equal((whole.frames, whole.target), (joined(parts).frames, joined(parts).target))
+    assert equal((whole.frames, whole.targets), (joined(parts).frames, joined(parts).targets))
     with pytest.raises(ValueError, match="cannot be shared by 3"):
         batches(samples(source), 0, world=3)
 

@@ -258,10 +258,10 @@ def test_no_loss_when_nothing_changes_and_gradients_reach_every_layer() -> None:
     frames = [shot(t, speed=0) for t in (0.0, 2.0, 4.0)]
     target = shot(5.0, speed=0, span=1.0)
     method = silent()
-    terms = loss(method, [*frames, unshaded(target)], target.color)
+    terms = loss(method, [*frames, unshaded(target)], target.color[:, None])
     assert all(float(term.detach()) < 1e-4 for term in terms.values())
     method = ExtraNet().train()
-    sum(loss(method, [*frames, unshaded(target)], 2 * target.color).values()).backward()
+    sum(loss(method, [*frames, unshaded(target)], 2 * target.color[:, None]).values()).backward()
     assert all(p.grad is not None and bool(torch.isfinite(p.grad).all()) for p in method.parameters())
     assert method.network.encoder is not None
     assert any(bool(p.grad.abs().sum() > 0) for p in method.network.encoder.parameters() if p.grad is not None)

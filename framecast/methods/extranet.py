@@ -144,9 +144,7 @@ class Network(nn.Module):
         joined = (bottom + c, c + b, b + a)
         self.up = nn.ModuleList(Up(x, x // 2, y) for x, y in zip(joined, (c, b, a), strict=True))
         self.leave = nn.Conv2d(a, 3, 1)
-        nn.init.zeros_(self.leave.weight)
-        assert self.leave.bias is not None
-        nn.init.zeros_(self.leave.bias)
+        nn.init.normal_(self.leave.weight, std=1e-3)  # the first image is, nearly, the warped one
 
     def forward(self, x: Float[Tensor, "b 18 h w"], past: tuple[Tensor, ...]) -> Float[Tensor, "b 3 h w"]:
         """What is added to the warped image. `past`: the three warped frames, b 4 h w, oldest first."""
@@ -290,13 +288,16 @@ def _where(fresh: Bool[Tensor, " b"], a: Past, b: Past) -> Past:
 # Training.
 
 
-def loss(method: ExtraNet, frames: Sequence[Frame], target: Float[Tensor, "b 3 H W"]) -> dict[str, Float[Tensor, ""]]:
+def loss(
+    method: ExtraNet, frames: Sequence[Frame], targets: Float[Tensor, "b n 3 H W"]
+) -> dict[str, Float[Tensor, ""]]:
     """The three terms, in the log domain of light: everywhere, in holes, and where the error is largest."""
     *shaded, frame = frames
     state = method.start(shaded[0])
     for past in shaded[1:]:
         state = method.remember(past, state)
     inputs = method.prepare(frame, state, steps(frame, state.newest.shows.time, state.newest.shows.jitter))
+    target = targets[:, -1]
     seen = target if method.config.scale > 1 else demodulate(target, surface(frame))
     hole = 1 - inputs.mask
     if method.config.scale > 1:
@@ -306,10 +307,10 @@ def loss(method: ExtraNet, frames: Sequence[Frame], target: Float[Tensor, "b 3 H
 
 
 def loss_without_shading(
-    method: ExtraNet, frames: Sequence[Frame], target: Float[Tensor, "b 3 H W"]
+    method: ExtraNet, frames: Sequence[Frame], targets: Float[Tensor, "b n 3 H W"]
 ) -> dict[str, Float[Tensor, ""]]:
     """The ablation of the paper: no term for the largest errors."""
-    return {name: term for name, term in loss(method, frames, target).items() if name != "shade"}
+    return {name: term for name, term in loss(method, frames, targets).items() if name != "shade"}
 
 
 def hole_loss(error: Float[Tensor, "b 3 h w"], hole: Float[Tensor, "b 1 h w"]) -> Float[Tensor, ""]:
