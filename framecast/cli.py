@@ -19,6 +19,7 @@ from framecast.fit import method_named
 from framecast.importers import describe, open_any, repairs, save
 from framecast.methods import METHODS
 from framecast.render.command import command as render
+from framecast.report import command as report
 from framecast.runtime import Mode
 from framecast.train import command as train
 from framecast.upsample import Format, Job
@@ -154,6 +155,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "export-clip": export_clip,
     "check": check_clip,
     "evaluate": evaluate,
+    "report": report,
     "bench": bench,
     "render": render,
     "train": train,

@@ -17,6 +17,7 @@ LEVELS = {
     "frame": 0,
     "color": 1,
     "warp": 1,
+    "packing": 1,
     "resample": 1,
     "nets": 1,
     "weights": 1,
@@ -38,6 +39,8 @@ LEVELS = {
     "train": 5,
     "evaluate": 5,
     "bench": 5,
+    "page": 5,
+    "report": 6,
     "demo": 6,
     "cli": 7,
 }

@@ -41,7 +41,7 @@ function drawCurves() {
   const x = (frame) => margin.left + ((frame + 0.5) / count) * (width - margin.left - margin.right);
   const y = (v) => height - margin.bottom - ((v - low) / (high - low)) * (height - margin.top - margin.bottom);
   const chart = element("svg", { width, height, role: "img", "aria-label": curvesInWords() });
-  for (const tick of ticks(low, high, 4)) {
+  for (const tick of ticks(low, high, 6)) {
     chart.append(
       element("line", { class: "grid", x1: margin.left, x2: width - margin.right, y1: y(tick), y2: y(tick) }),
       element("text", { x: margin.left - 8, y: y(tick) + 4, "text-anchor": "end" }, String(tick)),
@@ -120,7 +120,7 @@ function drawScatter() {
   const x = (ms) => margin.left + ((Math.log10(ms) - left) / (right - left)) * (width - margin.left - margin.right);
   const y = (v) => height - margin.bottom - ((v - low) / (high - low)) * (height - margin.top - margin.bottom);
   const chart = element("svg", { width, height, role: "img", "aria-label": scatterInWords(points) });
-  for (const tick of ticks(low, high, 5)) {
+  for (const tick of ticks(low, high, 6)) {
     chart.append(element("line", { class: "grid", x1: margin.left, x2: width - margin.right, y1: y(tick), y2: y(tick) }),
       element("text", { x: margin.left - 8, y: y(tick) + 4, "text-anchor": "end" }, String(tick)));
   }

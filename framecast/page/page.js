@@ -102,7 +102,7 @@ function probe() {
   if (!at) return void (line.innerHTML = "&nbsp;");
   const [left, top] = run().window, i = at.y * run().size[1] + at.x, parts = [`<span>x ${at.x + left}, y ${at.y + top}</span>`];
   for (const name of [...new Set([state.a, state.b])]) {
-    const shown = image(imageId(name));
+    const shown = image(imageId(name), probe);
     if (!shown) continue;
     const linear = shown.planes.map((plane) => linearOf(plane[i])), shade = linear.map((v) => Math.round(255 * display(v * 2 ** state.exposure)));
     const map = name === REFERENCE ? null : method(name).flip[state.frame], scored = map && image(map, probe);

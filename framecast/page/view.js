@@ -67,10 +67,10 @@ function layout(count) {
   const [height, width] = run().size, density = devicePixelRatio || 1;
   const room = stage.parentElement.clientWidth, cap = Math.max(240, innerHeight * (state.view === "all" ? 0.85 : 0.66));
   let best = { scale: 0 };
-  for (let columns = 1; columns <= count; columns++) {
-    const rows = Math.ceil(count / columns), w = room / columns, h = Math.min((w * height) / width, cap / rows);
-    const scale = Math.min(w / width, h / height);
-    if (scale > best.scale) best = { columns, rows, w: Math.floor(w * density), h: Math.floor(h * density), scale };
+  for (let columns = count; columns >= 1; columns--) { // rather columns than rows, where it makes little difference
+    const rows = Math.ceil(count / columns), h = Math.min((room / columns / width) * height, cap / rows), scale = h / height;
+    const w = count === 1 ? room : scale * width;
+    if (scale > 1.08 * best.scale) best = { columns, rows, w: Math.floor(w * density), h: Math.floor(h * density), scale };
   }
   return best;
 }
@@ -119,7 +119,7 @@ function drawTile(tile, images, left, top) {
 
 function drawImage(tile, images, left = 0, top = 0) {
   const at = placed(shape.w, shape.h), canvas = tile.paint(images);
-  ink.imageSmoothingEnabled = at.scale < 1;
+  ink.imageSmoothingEnabled = at.scale < 1 || !state.zoom;
   ink.imageSmoothingQuality = "high";
   ink.drawImage(canvas, left + at.left, top + at.top, canvas.width * at.scale, canvas.height * at.scale);
   if (at.scale >= NUMBERS_FROM * (devicePixelRatio || 1)) drawNumbers(images[0], at, left, top);
@@ -219,7 +219,7 @@ function sliceShape(count) {
 function drawSlices([first, ...rows], images) {
   const density = devicePixelRatio || 1, at = sliceShape(rows.length), row = Math.min(state.row, images[0][0].height - 1);
   const canvas = first.paint(images[0]);
-  ink.imageSmoothingEnabled = at.scale < 1;
+  ink.imageSmoothingEnabled = true;
   ink.drawImage(canvas, at.left, at.top, canvas.width * at.scale, canvas.height * at.scale);
   ink.fillStyle = "#ffb000";
   ink.fillRect(at.left, at.top + (row + 0.5) * at.scale - density, canvas.width * at.scale, 2 * density);
