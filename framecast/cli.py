@@ -12,6 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from framecast.bench import command as bench
 from framecast.clip import Clip, check, mended
+from framecast.constants import command as constants
 from framecast.demo import demo
 from framecast.evaluate import command as evaluate
 from framecast.export_clip import command as export_clip
@@ -153,6 +154,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "upsample": upsample,
     "import": import_shot,
     "export-clip": export_clip,
+    "constants": constants,
     "check": check_clip,
     "evaluate": evaluate,
     "report": report,

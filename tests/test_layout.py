@@ -34,6 +34,7 @@ LEVELS = {
     "provenance": 4,
     "results": 4,
     "checkpoint": 4,
+    "constants": 5,
     "export_clip": 5,
     "upsample": 5,
     "train": 5,

@@ -19,7 +19,7 @@ from framecast.importers import images
 from framecast.importers.blender import FPS, ranges
 from framecast.importers.cameras import Pose, pose, read_poses
 from framecast.importers.decode import decode, decode_jitter, jitter_pixels, picture_size
-from framecast.importers.settings import Depth, Layer, Motion, Settings, layers
+from framecast.importers.settings import Depth, Layer, Motion, Settings, layers, plain
 
 MOST = 200_000
 """Files that a folder is searched for."""
@@ -166,7 +166,7 @@ def open_folder(
         load=load,
         layers=(),
         span=settings.span,
-        provenance={"source": settings.source, "notes": _notes(fps, settings, poses)},
+        provenance={"source": settings.source, "notes": _notes(fps, settings, poses), "settings": plain(settings)},
     )
     return replace(clip, layers=tuple(load(records[min(1, len(records) - 1)])))
 

@@ -218,8 +218,9 @@ def write_settings(settings: Settings, path: Path | str) -> Path:
 
 def plain(settings: Settings) -> dict[str, Any]:
     """Settings as JSON values, without what has its default (version and source stay)."""
-    out = {k: v for k, v in _said(settings).items() if v is not None}
-    return {"version": settings.version, "source": settings.source, **out}
+    about = {"version": settings.version, "source": settings.source, **_said(settings)}
+    values: dict[str, Any] = json.loads(json.dumps(about))  # lists in place of tuples
+    return values
 
 
 def _said(value: Any) -> Any:
