@@ -1,0 +1,152 @@
+"""What experiments are made of: images that can be compared, points at which to look, errors with a margin.
+
+A pair of frames is looked at in a few thousand points where the picture has texture and the vectors matter. Positions
+are pixels (column + 0.5, row + 0.5 at centres), vectors are pixels, x right, y down, as in `frame.py`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+POINTS = 6000
+"""Points of one pair of frames."""
+
+BLOCKS = 6
+"""Points are counted in this many rows and columns of blocks, which vote."""
+
+DARK = 0.05
+"""Share of the median brightness below which differences stop to count."""
+
+
+def comparable(color: Float[np.ndarray, "3 h w"], level: float) -> Float[np.ndarray, "3 h w"]:
+    """Colour on a scale on which equal ratios look equally different, smoothed by 1-2-1; `level` is its median."""
+    bright = np.nan_to_num(color.astype(np.float32), nan=0.0, posinf=65504.0, neginf=0.0)
+    return smooth(np.log(DARK + np.clip(bright, 0, 65504.0) / level))
+
+
+def smooth(image: Float[np.ndarray, "c h w"]) -> Float[np.ndarray, "c h w"]:
+    """Filtered by 1-2-1 over four in both directions; the edge is continued."""
+    for axis in (1, 2):
+        wide = np.concatenate([image.take([0], axis), image, image.take([-1], axis)], axis)
+        low, mid, high = (wide.take(range(k, k + image.shape[axis]), axis) for k in range(3))
+        image = (low + 2 * mid + high) / 4
+    return image
+
+
+def slope(image: Float[np.ndarray, "c h w"]) -> tuple[np.ndarray, np.ndarray]:
+    """Central differences along x and y, a pixel; 0 at the border."""
+    along_x, along_y = np.zeros_like(image), np.zeros_like(image)
+    along_x[:, :, 1:-1] = (image[:, :, 2:] - image[:, :, :-2]) / 2
+    along_y[:, 1:-1] = (image[:, 2:] - image[:, :-2]) / 2
+    return along_x, along_y
+
+
+def sample(
+    image: Float[np.ndarray, "c h w"], x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "c n"]:
+    """Bilinear values at positions; outside, those of the edge."""
+    height, width = image.shape[1:]
+    x = np.clip(np.nan_to_num(x - 0.5), 0, width - 1)
+    y = np.clip(np.nan_to_num(y - 0.5), 0, height - 1)
+    left = np.minimum(x.astype(np.int32), max(width - 2, 0))
+    top = np.minimum(y.astype(np.int32), max(height - 2, 0))
+    right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    fx, fy = (x - left).astype(np.float32), (y - top).astype(np.float32)
+    flat, row, under = image.reshape(len(image), -1), top * width, below * width
+    upper = flat[:, row + left] * (1 - fx) + flat[:, row + right] * fx
+    lower = flat[:, under + left] * (1 - fx) + flat[:, under + right] * fx
+    return upper * (1 - fy) + lower * fy
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A frame and another one, as seen in points of the frame."""
+
+    here: int
+    there: int
+    """Positions of the two frames in the looked-at sequence."""
+    x: Float[np.ndarray, " n"]
+    y: Float[np.ndarray, " n"]
+    value: Float[np.ndarray, "3 n"]
+    """The frame's own image in the points."""
+    slope_x: Float[np.ndarray, "3 n"]
+    slope_y: Float[np.ndarray, "3 n"]
+    other: Float[np.ndarray, "3 h w"]
+    """The other frame's image."""
+    block: np.ndarray
+    """Number of the block in which each point lies."""
+
+
+def textured(image: Float[np.ndarray, "3 h w"], margin: int = 4) -> Float[np.ndarray, "h w"]:
+    """How strongly the picture changes from pixel to pixel; 0 near the border."""
+    along_x, along_y = slope(image)
+    strength = np.sqrt((along_x**2 + along_y**2).sum(0))
+    inner = np.zeros_like(strength)
+    inner[margin:-margin, margin:-margin] = strength[margin:-margin, margin:-margin]
+    return inner
+
+
+def pick_points(
+    strength: Float[np.ndarray, "h w"], where: Bool[np.ndarray, "h w"], count: int, seed: int
+) -> np.ndarray:
+    """Linear indices of up to `count` pixels of the textured half of `where`, the same on every run."""
+    candidates = np.flatnonzero(where & (strength > 0))
+    if len(candidates) == 0:
+        return candidates
+    strong = strength.flat[candidates]
+    candidates = candidates[strong >= np.median(strong)]
+    if len(candidates) > count:
+        candidates = np.random.default_rng(seed).choice(candidates, count, replace=False)
+    return np.sort(candidates)
+
+
+def pair_of(images: Sequence[Float[np.ndarray, "3 h w"]], here: int, there: int, points: np.ndarray) -> Pair:
+    """What experiments need of two frames, in pixels given by linear index."""
+    image = images[here]
+    height, width = image.shape[1:]
+    row, column = points // width, points % width
+    along_x, along_y = slope(image)
+    block = (row * BLOCKS // height) * BLOCKS + column * BLOCKS // width
+    flat = lambda plane: plane.reshape(3, -1)[:, points]  # noqa: E731
+    return Pair(
+        here, there, (column + 0.5).astype(np.float32), (row + 0.5).astype(np.float32),
+        flat(image), flat(along_x), flat(along_y), images[there], block,
+    )  # fmt: skip
+
+
+def misfit(pair: Pair, dx: Float[np.ndarray, " n"], dy: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """How different the other frame looks where each point is said to have been, at most 1; gain taken out."""
+    difference = pair.value - sample(pair.other, pair.x + dx, pair.y + dy)
+    return np.minimum(np.abs(difference - np.median(difference)).mean(0), 1)
+
+
+def fit_shift(
+    pair: Pair, dx: Float[np.ndarray, " n"], dy: Float[np.ndarray, " n"], *, limit: float = 1.2, steps: int = 4
+) -> tuple[float, float]:
+    """The one displacement in pixels that, added to all vectors, makes both frames agree best; robust, sub-pixel."""
+    shift = np.zeros(2)
+    for _ in range(steps):
+        got = sample(pair.other, pair.x + dx + shift[0], pair.y + dy + shift[1])
+        error = pair.value - got
+        error = error - np.median(error)
+        spread = 2 * np.median(np.abs(error)) + 1e-6
+        weight = 1 / (1 + (error / spread) ** 2) ** 2
+        gx, gy = weight * pair.slope_x, weight * pair.slope_y
+        a, b, c = (gx * pair.slope_x).sum(), (gx * pair.slope_y).sum(), (gy * pair.slope_y).sum()
+        u, v = (gx * error).sum(), (gy * error).sum()
+        determinant = a * c - b * b
+        if not determinant > 1e-9 * max(a * c, 1e-12):
+            break
+        shift = np.clip(shift + [(c * u - b * v) / determinant, (a * v - b * u) / determinant], -limit, limit)
+    return float(shift[0]), float(shift[1])
+
+
+def votes(better: Float[np.ndarray, " n"], worse: Float[np.ndarray, " n"], block: np.ndarray) -> float:
+    """How surely `better` is smaller: standard deviations by which blocks that vote for it outnumber the others."""
+    count = np.bincount(block)
+    gain = np.bincount(block, worse - better) / np.maximum(count, 1)
+    gain = gain[count >= 4]
+    ahead, behind = int((gain > 1e-6).sum()), int((gain < -1e-6).sum())
+    return (ahead - behind) / np.sqrt(max(ahead + behind, 1))

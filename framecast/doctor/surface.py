@@ -1,0 +1,163 @@
+"""Normals against the shape that depth gives, and colour against albedo: what space, which signs, linear or not."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from framecast.doctor.camera import sky_of
+from framecast.doctor.take import Take
+
+SIGNS = tuple(product((1.0, -1.0), repeat=3))
+
+
+@dataclass(frozen=True)
+class Normals:
+    """How well stored normals agree with the slopes of depth: mean cosine for each space and each sign of the axes."""
+
+    encoded: bool
+    plain_share: float
+    encoded_share: float
+    """Share of the pixels that hold a unit vector as they are, and as n / 2 + 1/2."""
+    agreement: Mapping[tuple[str, tuple[float, float, float]], float]
+    free: Mapping[str, float]
+    """The same for any rotation of the world, `proper` and `mirrored`, where the cameras are not known."""
+    turning: float
+    """Degrees by which the cameras are turned against the world: without it world and view are the same."""
+    count: int
+
+
+def normals_of(take: Take, depths: Mapping[int, np.ndarray], tangent: float) -> Normals | None:
+    """What the stored normals are; None where no frame has depth and normals with slopes.
+
+    Args:
+        depths: distance along the view axis `h w` by frame. tangent: of half the vertical field of view.
+    """
+    pairs, shares = [], []
+    for t, z in depths.items():
+        stored = take.stored[t].get("normal")
+        if stored is None or stored.shape[1:] != z.shape:
+            continue
+        v = np.nan_to_num(stored[:3].astype(np.float32))
+        solid = ~sky_of(take.stored[t]["depth"][0])
+        if solid.mean() < 0.02:
+            continue
+        shares.append([float((np.abs(np.sqrt((w * w).sum(0)[solid]) - 1) < 0.06).mean()) for w in (v, 2 * v - 1)])
+        pairs.append((t, v, *facets(z, solid, tangent)))
+    if not pairs:
+        return None
+    plain_share, encoded_share = np.mean(shares, 0)
+    encoded = bool(encoded_share > plain_share)
+    scores: dict[tuple[str, tuple[float, float, float]], list[float]] = {}
+    free: dict[str, list[float]] = {"proper": [], "mirrored": []}
+    turning, count = [], 0
+    for t, v, slopes, where in pairs:
+        n = (2 * v - 1 if encoded else v)[:, where].T.astype(np.float64)
+        n = n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-3)
+        count += len(n)
+        if len(n) < 300:
+            continue
+        view = take.records[t].view if "cameras" in take.recorded else None
+        turns = {"view": np.eye(3)} | ({} if view is None else {"world": np.asarray(view)[:3, :3]})
+        for space, turn in turns.items():
+            expected = slopes @ turn  # rows: world = view rotation transposed times camera
+            for sign in SIGNS:
+                scores.setdefault((space, sign), []).append(float(np.median((n * sign * expected).sum(1))))
+        if view is not None:
+            turning.append(float(np.degrees(np.arccos(np.clip((np.trace(turns["world"]) - 1) / 2, -1, 1)))))
+        for name, agreement in zip(free, rotations(slopes, n), strict=True):
+            free[name].append(agreement)
+    if not scores:
+        return None
+    mean = {key: float(np.mean(values)) for key, values in scores.items()}
+    return Normals(
+        encoded, float(plain_share), float(encoded_share), mean, {k: float(np.mean(v)) for k, v in free.items()},
+        float(np.mean(turning)) if turning else 0.0, count,
+    )  # fmt: skip
+
+
+def facets(z: np.ndarray, solid: np.ndarray, tangent: float) -> tuple[np.ndarray, np.ndarray]:
+    """Normals `n 3` in view space of smooth places of a depth image, towards the camera, and where they are."""
+    height, width = z.shape
+    y, x = np.mgrid[0:height, 0:width] + 0.5
+    z = np.where(solid, z, 1).astype(np.float64)
+    scale = 2 * tangent / height
+    point = np.stack([(x - width / 2) * scale * z, (height / 2 - y) * scale * z, -z])
+    right = point[:, 1:-1, 2:] - point[:, 1:-1, :-2]
+    down = point[:, 2:, 1:-1] - point[:, :-2, 1:-1]
+    n = np.cross(right, down, axis=0)
+    n = -n / np.maximum(np.linalg.norm(n, axis=0), 1e-12)
+    middle = z[1:-1, 1:-1]
+    bend_x = np.abs(z[1:-1, 2:] + z[1:-1, :-2] - 2 * middle)
+    bend_y = np.abs(z[2:, 1:-1] + z[:-2, 1:-1] - 2 * middle)
+    rise = np.abs(z[1:-1, 2:] - z[1:-1, :-2]) + np.abs(z[2:, 1:-1] - z[:-2, 1:-1])
+    inner = solid[1:-1, 1:-1] & solid[1:-1, 2:] & solid[1:-1, :-2] & solid[2:, 1:-1] & solid[:-2, 1:-1]
+    smooth = inner & (bend_x + bend_y < 0.1 * rise + 1e-4 * middle) & (rise < 0.3 * middle)
+    n = np.where((n * point[:, 1:-1, 1:-1]).sum(0) > 0, -n, n)
+    where = np.zeros((height, width), bool)
+    where[1:-1, 1:-1] = smooth
+    return n[:, smooth].T, where
+
+
+def rotations(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
+    """Mean cosine between vectors `n 3` after the best rotation, and after the best rotation with a reflection."""
+    u, s, v = np.linalg.svd(a.T @ b)
+    straight = np.sign(np.linalg.det(u) * np.linalg.det(v))
+    proper = s[0] + s[1] + straight * s[2]
+    mirrored = s[0] + s[1] - straight * s[2]
+    return float(proper / len(a)), float(mirrored / len(a))
+
+
+@dataclass(frozen=True)
+class Tone:
+    """Whether colour looks linear."""
+
+    slope: float | None
+    """Change of log colour over that of log albedo, across edges of albedo alone: 1 for linear light, near 1/2 for
+    display values. None where albedo or such edges are lacking."""
+    edges: int
+    peak: float
+    """Largest number."""
+    clipped: float
+    """Share of the pixels within 1/500 of the largest number, where that is about 1."""
+    middle: float
+    """Median."""
+
+
+def tone_of(take: Take) -> Tone | None:
+    """Colour as it is claimed; None where no frame with colour was kept."""
+    frames = take.full("color")
+    if not frames:
+        return None
+    color = [np.nan_to_num(take.stored[t]["color"][:3].astype(np.float32), posinf=65504) for t in frames]
+    values = np.concatenate([c.reshape(3, -1)[:, ::7] for c in color], 1)
+    peak = float(values.max())
+    clipped = float((values.max(0) > peak * 0.998).mean()) if 0.9 < peak < 1.02 else 0.0
+    ratios = [albedo_edges(take, t) for t in take.full("color", "albedo")]
+    joined = np.concatenate(ratios) if ratios else np.zeros(0)
+    slope = float(np.median(joined)) if len(joined) >= 200 else None
+    return Tone(slope, len(joined), peak, clipped, float(np.median(values)))
+
+
+def albedo_edges(take: Take, t: int) -> np.ndarray:
+    """Change of log colour over change of log albedo between neighbours where only the albedo jumps."""
+    stored = take.stored[t]
+    color = np.nan_to_num(stored["color"][:3].astype(np.float64)).clip(1e-6)
+    albedo = np.nan_to_num(stored["albedo"][:3].astype(np.float64)).clip(1e-6)
+    if albedo.shape != color.shape:
+        return np.zeros(0)
+    out = []
+    for axis in (1, 2):
+        far = lambda a, axis=axis: np.log(a.take(range(3, a.shape[axis]), axis)) - np.log(a.take(range(a.shape[axis] - 3), axis))  # noqa: E731, E501
+        jump, change = far(albedo), far(color)
+        low = np.minimum(albedo.take(range(3, albedo.shape[axis]), axis), albedo.take(range(albedo.shape[axis] - 3), axis))
+        use = (np.abs(jump) > 0.35) & (low > 0.02)
+        for name, most in (("depth", 0.02), ("normal", 0.05)):
+            if name in stored and stored[name].shape[1:] == color.shape[1:]:
+                plane = np.nan_to_num(stored[name].astype(np.float64), posinf=1e9)
+                a, b = (plane.take(range(s, plane.shape[axis] - 3 + s), axis) for s in (3, 0))
+                size = 1.0 if name == "normal" else np.maximum(np.abs(b), 1e-9)
+                use &= (np.abs(a - b) / size).max(0) < most
+        out.append((change / np.where(use, jump, 1))[use])
+    return np.concatenate(out)
