@@ -146,8 +146,8 @@ class Clip:
         for name, pixels in layers.items():
             if pixels.shape[-2:] != self.size:
                 raise ClipError(_wrong_size(self.path, record.number, pixels.shape[-2:], self.size))
-            bad = int(np.count_nonzero(~np.isfinite(pixels)))
-            if bad:
+            if not np.isfinite(pixels).all():
+                bad = int(np.count_nonzero(~np.isfinite(pixels)))
                 raise ClipError(
                     f"frame {record.number} of {self.path}: {bad} NaN or infinite pixels in {name}; "
                     f"render it again, or pass --repair to replace them"
