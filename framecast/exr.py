@@ -7,7 +7,8 @@ import contextlib
 import io
 import os
 import threading
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,15 @@ COMPRESSIONS = {
     "piz": OpenEXR.PIZ_COMPRESSION,
     "dwaa": OpenEXR.DWAA_COMPRESSION,
 }
+
+LARGEST = 2**28
+"""Pixels of the largest window that is read (16384 x 16384): a header may claim anything."""
+
+MOST = 2**33
+"""Bytes that the channels of one file may take in memory."""
+
+EXPANSION = 5000
+"""What a large file may grow by when it is unpacked; deflate cannot do more than 1032."""
 
 
 class ClipError(ValueError):
@@ -86,19 +96,59 @@ def _parts(file: OpenEXR.File) -> list[Any]:
     return [part for part in file.parts if part.header]
 
 
-def header(path: Path) -> Header:
-    """Size, channel names and text attributes, without reading pixels.
+def _described(path: Path) -> tuple[list[Any], list[list[str]]]:
+    """Headers of the parts and the names of their channels, checked before anything is made room for.
 
     Raises:
-        FileNotFoundError: no such file. ClipError: not an EXR file.
+        ClipError: no image in it, or one that is deep or too large.
     """
     parts = _parts(_open(path, header_only=True))
     if not parts:
         raise ClipError(f"{path} holds no image; render it again")
-    low, high = parts[0].header["displayWindow"]
-    names = tuple(channel.name for part in parts for channel in part.header["channels"])
+    held = 0
+    for part in parts:
+        if part.header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
+            raise ClipError(f"{path} is a deep image; flatten it to one sample per pixel (scanline or tiled) first")
+        sizes = [_window(part.header[window]) for window in ("dataWindow", "displayWindow")]
+        for height, width in sizes:
+            if min(height, width) < 1 or height * width > LARGEST:
+                raise ClipError(f"{path} claims to have {width}x{height} pixels, which cannot be; copy it again")
+        held += 4 * len(part.header["channels"]) * max(height * width for height, width in sizes)
+    if held > MOST or (held > 2**28 and held > EXPANSION * path.stat().st_size):
+        raise ClipError(f"{path} would take {held / 2**30:.1f} GiB in memory; it is damaged, or has too many layers")
+    try:
+        return parts, _names(parts)
+    except UnicodeDecodeError as error:
+        raise ClipError(f"{path} has channel names that are no text (damaged); copy it again") from error
+
+
+def _window(corners: Any) -> tuple[int, int]:
+    """Height and width of a window given by its corners, both inside."""
+    (left, top), (right, bottom) = corners
+    return int(bottom) - int(top) + 1, int(right) - int(left) + 1
+
+
+def _names(parts: Sequence[Any]) -> list[list[str]]:
+    """Channel names of each part, in file order; where two parts share one, those parts' names stand before theirs."""
+    plain = [[channel.name for channel in part.header["channels"]] for part in parts]
+    count = Counter(name for names in plain for name in names)
+    shared = [any(count[name] > 1 for name in names) for names in plain]
+    return [
+        [f"{part.name()}.{name}" if twice and part.name() else name for name in names]
+        for part, names, twice in zip(parts, plain, shared, strict=True)
+    ]
+
+
+def header(path: Path) -> Header:
+    """Size, channel names and text attributes, without reading pixels.
+
+    Raises:
+        FileNotFoundError: no such file. ClipError: not an EXR file, deep, or of an impossible size.
+    """
+    parts, parted = _described(path)
+    names = tuple(name for part in parted for name in part)
     text = {k: v for part in parts for k, v in part.header.items() if isinstance(v, str)}
-    return Header((int(high[1] - low[1]) + 1, int(high[0] - low[0]) + 1), names, text)
+    return Header(_window(parts[0].header["displayWindow"]), names, text)
 
 
 def size(path: Path) -> tuple[int, int]:
@@ -114,23 +164,19 @@ def attributes(path: Path) -> dict[str, str]:
 def read(path: Path) -> Exr:
     """Every channel of every part, on the display window (pixels outside the data window are 0).
 
-    A channel name that two parts share is prefixed by its part's name. Deep images are refused.
+    Where two parts share a channel name, the names of those parts stand before all of theirs. Deep images are refused.
 
     Raises:
         FileNotFoundError: no such file. ClipError: truncated, damaged, deep or subsampled.
     """
-    expected = len(_parts(_open(path, header_only=True)))
+    expected, parted = _described(path)
     parts = _parts(_open(path, header_only=False))
-    whole = len(parts) == expected and expected > 0
     channels: dict[str, np.ndarray] = {}
-    for part in parts if whole else ():
-        if part.header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
-            raise ClipError(f"{path} is a deep image; flatten it to one sample per pixel (scanline or tiled) first")
-        for name, channel in part.channels.items():
+    for part, names in zip(parts, parted, strict=False) if len(parts) == len(expected) else ():
+        for name, channel in zip(names, part.channels.values(), strict=False):
             if channel.pixels is None:
                 raise ClipError(f"{path} has no pixels in {name} (truncated or damaged); render or copy it again")
-            key = f"{part.name()}.{name}" if name in channels else name
-            channels[key] = _on_display_window(path, part.header, name, channel)
+            channels[name] = _on_display_window(path, part.header, name, channel)
     if not channels:
         raise ClipError(f"{path} is truncated or damaged; render or copy it again")
     if len({pixels.shape for pixels in channels.values()}) > 1:
