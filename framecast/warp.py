@@ -65,7 +65,7 @@ def _at(plane: Tensor, index: Tensor) -> Tensor:
     return plane.flatten(1).gather(1, index.flatten(1).long()).view(index.shape)
 
 
-def pick(image: Shaped[Tensor, "b c h w"], index: Int[Tensor, "b h w"]) -> Shaped[Tensor, "b c h w"]:
+def pick(image: Shaped[Tensor, "b c h w"], index: Int[Tensor, "b H W"]) -> Shaped[Tensor, "b c H W"]:
     """Pixels of `image` at linear indices row * w + column, which must be inside."""
     return torch.stack([_at(plane, index) for plane in image.unbind(1)], 1)
 

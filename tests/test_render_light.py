@@ -21,7 +21,7 @@ from analytic import (
     world,
 )
 
-from framecast import clip, exr
+from framecast import clip, exr, resample
 from framecast.render import device, make, reference
 from framecast.render.command import command
 from framecast.render.renderer import Renderer, changes
@@ -167,16 +167,6 @@ def test_reference_of_an_edge_is_its_coverage():
     np.testing.assert_allclose(made.ranges[8:], 0, atol=1e-4)
 
 
-def test_jitter_sequence():
-    """Halton(2, 3), 8 scale^2 phases, well spread around the centre."""
-    assert [reference.phases(s) for s in (1, 1.5, 1.7, 2, 3)] == [8, 18, 24, 32, 72]
-    points = np.array([reference.jitter(k, 32) for k in range(32)])
-    np.testing.assert_allclose(points[:3], [[0, -1 / 6], [-0.25, 1 / 6], [0.25, -7 / 18]], atol=1e-12)
-    assert np.abs(points).max() < 0.5
-    assert np.abs(points.mean(0)).max() < 0.04
-    assert reference.jitter(33, 32) == reference.jitter(1, 32)
-
-
 @pytest.fixture
 def small(monkeypatch) -> make.Settings:
     monkeypatch.setattr(make, "load", lambda source, seed: replace(busy(), cuts=frozenset({2})))
@@ -192,7 +182,7 @@ def test_clip_on_disk(small, tmp_path: Path):
     assert made.provenance["adapter"] == device.adapter_name()
     assert made[2].reset.item()
     assert not made[1].reset.item()
-    np.testing.assert_allclose(made[1].jitter[0].numpy(), reference.jitter(1, 18), atol=1e-6)
+    np.testing.assert_allclose(made[1].jitter[0].numpy(), resample.jitter(1, 18), atol=1e-6)
     assert made[1].normal is not None
     assert made[1].motion_next is not None
     assert made[1].object is not None

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
-from framecast import clip, exr
+from framecast import clip, exr, resample
 from framecast.render import device, reference
 from framecast.render.preview import sheet
 from framecast.render.renderer import Renderer, changes
@@ -55,7 +55,7 @@ class Settings:
     @property
     def offsets(self) -> int:
         """How many sample positions the frames go through; 0 without jitter."""
-        return reference.phases(self.scale) if self.jitter else 0
+        return resample.phases(self.scale) if self.jitter else 0
 
     @property
     def display(self) -> tuple[int, int]:
@@ -198,7 +198,7 @@ def render_frame(renderer: Renderer, settings: Settings, folder: Path, number: i
         if made.ranges is not None:
             exr.write(folder / "ranges" / f"{number:04d}.exr", dict(zip(reference.RANGES, made.ranges, strict=True)))
         exr.write(folder / "masks" / f"{number:04d}.exr", masks(renderer, number, settings.display))
-    offset = reference.jitter(number, settings.offsets)
+    offset = resample.jitter(number, settings.offsets)
     layers = renderer.frame(time, settings.size, offset, -float(np.log2(settings.scale)))
     view = view_of(scene.camera, time, settings.size[1] / settings.size[0])
     record = clip.Record(

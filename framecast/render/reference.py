@@ -16,6 +16,7 @@ from framecast.frame import SKY
 from framecast.render import device, passes
 from framecast.render.canvas import Canvas, Size
 from framecast.render.renderer import Renderer
+from framecast.resample import jitter
 
 Array = np.ndarray
 
@@ -39,28 +40,6 @@ class Reference(NamedTuple):
     """Linear, times exposure."""
     ranges: Float[Array, "10 h w"] | None
     """In the order of RANGES."""
-
-
-def halton(index: int, base: int) -> float:
-    """The index-th number (from 0) of the van der Corput sequence, in (0, 1): halton(0, 2) is 1/2."""
-    value, step, index = 0.0, 1.0, index + 1
-    while index:
-        step /= base
-        value += step * (index % base)
-        index //= base
-    return value
-
-
-def jitter(number: int, phases: int) -> tuple[float, float]:
-    """Sample minus pixel centre of a frame: Halton(2, 3) less 1/2, repeating after `phases` frames; 0 where `phases` is."""
-    if phases == 0:
-        return 0.0, 0.0
-    return halton(number % phases, 2) - 0.5, halton(number % phases, 3) - 0.5
-
-
-def phases(scale: float) -> int:
-    """Length of the jitter sequence for an upsampling scale: 8 samples for each display pixel."""
-    return max(1, int(np.ceil(8 * scale * scale - 1e-9)))
 
 
 def reference(renderer: Renderer, time: float, size: Size, samples: int = 64, *, ranges: bool = False) -> Reference:

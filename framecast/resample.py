@@ -1,0 +1,279 @@
+"""Sizes: sample positions, enlarging from samples where they really lie, sharp warps, what a history may look like.
+
+A frame's pixel (i, j) holds what was seen at (i + 0.5, j + 0.5) + jitter. Enlarging weighs samples by their distance
+to the centre of each large pixel, in pixels of the small image, so that nothing shifts from frame to frame. Small and
+large image show the same rectangle: an axis of n pixels becomes one of m by the factor m / n. Beyond its border an
+image goes on with its edge pixels. Written per plane and without branches on data, so that `torch.compile` fuses it.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from framecast.warp import nearest_neighbour, pick
+
+Kernel = Callable[[Tensor], Tensor]
+"""Weight of a sample at a signed distance in pixels along one axis."""
+
+# Sample positions.
+
+
+def halton(index: int, base: int) -> float:
+    """The index-th number (from 0) of the van der Corput sequence, in (0, 1): halton(0, 2) is 1/2."""
+    value, step, index = 0.0, 1.0, index + 1
+    while index:
+        step /= base
+        value += step * (index % base)
+        index //= base
+    return value
+
+
+def jitter(number: int, phases: int) -> tuple[float, float]:
+    """Sample minus pixel centre of a frame: Halton(2, 3) less 1/2, again from `phases` frames on; 0 where that is 0."""
+    if phases == 0:
+        return 0.0, 0.0
+    return halton(number % phases, 2) - 0.5, halton(number % phases, 3) - 0.5
+
+
+def phases(scale: float) -> int:
+    """Length of the jitter sequence for an upsampling scale: 8 samples for each display pixel."""
+    return max(1, math.ceil(8 * scale * scale - 1e-9))
+
+
+def size_at(size: tuple[int, int], scale: float) -> tuple[int, int]:
+    """Height and width of an image enlarged by `scale`."""
+    return round(size[0] * scale), round(size[1] * scale)
+
+
+# Kernels. All but the Gaussian are 1 at 0 and 0 at other whole distances, so that samples keep their values.
+
+
+def tent(x: Tensor) -> Tensor:
+    """Linear interpolation: 1 - |x| within one pixel; two taps."""
+    return (1 - x.abs()).clamp(min=0)
+
+
+def gaussian(x: Tensor) -> Tensor:
+    """exp(-2.29 x^2), a fit of the Blackman-Harris window 3.3 pixels wide; three taps."""
+    return torch.exp(-2.29 * x * x)
+
+
+def lanczos(x: Tensor) -> Tensor:
+    """sinc(x) sinc(x / 2) within two pixels; four taps, whose sum is 1 within 1 %."""
+    return torch.where(x.abs() < 2, torch.sinc(x) * torch.sinc(x / 2), 0.0)
+
+
+def catmull_rom(x: Tensor) -> Tensor:
+    """The cubic through four samples with the slope of their neighbours (Keys, a = -1/2); four taps, whose sum is 1."""
+    a = x.abs()
+    near, far = (1.5 * a - 2.5) * a * a + 1, ((-0.5 * a + 2.5) * a - 4) * a + 2
+    return torch.where(a < 1, near, torch.where(a < 2, far, 0.0))
+
+
+# Enlarging.
+
+
+@dataclass(frozen=True)
+class Enlarged:
+    """An image made of weighted samples, and how much there was to make it of."""
+
+    image: Float[Tensor, "b c H W"]
+    """Weighted mean of the samples."""
+    total: Float[Tensor, "b 1 H W"]
+    """Sum of their weights."""
+    peak: Float[Tensor, "b 1 H W"]
+    """Largest weight: 1 where a sample lies on the pixel's centre."""
+
+
+def enlarge(
+    image: Float[Tensor, "b c h w"],
+    size: tuple[int, int],
+    jitter: Float[Tensor, "b 2"],
+    kernel: Kernel = lanczos,
+    taps: int = 4,
+) -> Enlarged:
+    """The image at another size, from the `taps` x `taps` samples nearest to each pixel's centre.
+
+    The weight of a sample is kernel(dx) kernel(dy), of distances in pixels of `image`. A constant stays what it is.
+    Whatever the jitter, what is smooth stays where it is.
+
+    Args:
+        size: height and width of the result, at least those of `image`.
+        jitter: where the samples lie, from their pixels' centres.
+    """
+    across = _taps(image.shape[-1], size[1], jitter[:, 0], kernel, taps)
+    down = _taps(image.shape[-2], size[0], jitter[:, 1], kernel, taps)
+    wide = _gathered(image, across, 3)
+    total, peak = (
+        (along_y[:, None, :, None] * along_x[:, None, None, :])
+        for along_y, along_x in ((down.weight.sum(-1), across.weight.sum(-1)), (_peak(down), _peak(across)))
+    )
+    return Enlarged(_gathered(wide, down, 2), total, peak)
+
+
+@dataclass(frozen=True)
+class _Taps:
+    """Samples that each pixel of one axis is made of."""
+
+    index: Int[Tensor, "b n k"]
+    weight: Float[Tensor, "b n k"]
+
+
+def _taps(small: int, large: int, jitter: Float[Tensor, " b"], kernel: Kernel, count: int) -> _Taps:
+    centre = (torch.arange(large, dtype=torch.float32, device=jitter.device) + 0.5) * (small / large) - 0.5
+    position = centre - jitter[:, None]
+    first = (position - count / 2).ceil()
+    index = first[..., None] + torch.arange(count, device=jitter.device)
+    return _Taps(index.clamp(0, small - 1).long(), kernel(index - position[..., None]))
+
+
+def _peak(taps: _Taps) -> Float[Tensor, "b n"]:
+    return taps.weight.amax(-1)
+
+
+def _gathered(image: Tensor, taps: _Taps, axis: int) -> Tensor:
+    """Weighted mean of the taps along an axis of b c h w."""
+    shape = [image.shape[0], 1, 1, 1]
+    shape[axis] = taps.index.shape[1]
+    weight = taps.weight / taps.weight.sum(-1, keepdim=True)
+    whole = [*image.shape]
+    whole[axis] = shape[axis]
+    result = torch.zeros(1, device=image.device)
+    for k in range(taps.index.shape[-1]):
+        index = taps.index[..., k].view(shape).expand(whole)
+        result = result + image.gather(axis, index) * weight[..., k].view(shape)
+    return result
+
+
+def nearest_sample(small: tuple[int, int], size: tuple[int, int], jitter: Float[Tensor, "b 2"]) -> Int[Tensor, "b H W"]:
+    """Linear index of the sample nearest to the centre of each pixel of an image of `size`."""
+    column = _taps(small[1], size[1], jitter[:, 0], tent, 1).index
+    row = _taps(small[0], size[0], jitter[:, 1], tent, 1).index
+    return row * small[1] + column.transpose(1, 2)
+
+
+def enlarged_motion(
+    motion: Float[Tensor, "b 2 h w"], size: tuple[int, int], jitter: Float[Tensor, "b 2"]
+) -> Float[Tensor, "b 2 H W"]:
+    """Motion at another size: the vector of the nearest sample, in pixels of the new size."""
+    small = (motion.shape[-2], motion.shape[-1])
+    x, y = pick(motion, nearest_sample(small, size, jitter)).unbind(1)
+    return torch.stack((x * (size[1] / small[1]), y * (size[0] / small[0])), 1)
+
+
+def foreground(
+    depth: Float[Tensor, "b 1 h w"], motion: Float[Tensor, "b 2 h w"]
+) -> tuple[Float[Tensor, "b 1 h w"], Float[Tensor, "b 2 h w"]]:
+    """Depth and motion of the nearest surface in each pixel's 3 x 3 neighbourhood.
+
+    Edges of what lies in front then move as a whole, mixed pixels included.
+    """
+    nearest = nearest_neighbour(depth)
+    return pick(depth, nearest), pick(motion, nearest)
+
+
+# Warps that keep what is sharp.
+
+
+def sharp_warp(
+    image: Float[Tensor, "b c h w"],
+    motion: Float[Tensor, "b 2 h w"],
+    kernel: Kernel = catmull_rom,
+    *,
+    bounded: bool = True,
+) -> Float[Tensor, "b c h w"]:
+    """Like `warp.warp`, out(p) = image(p + motion(p)), but from 4 x 4 pixels; exact at whole-pixel motion.
+
+    Args:
+        kernel: `catmull_rom` or `lanczos`, whose inner weights are positive and outer ones negative.
+        bounded: keep every value between the smallest and the largest of the four nearest pixels, so that edges do
+            not ring.
+    """
+    height, width = image.shape[-2:]
+    x = (torch.arange(width, dtype=torch.float32, device=image.device) + motion[:, 0]).clamp(-1, width)
+    y = (torch.arange(height, dtype=torch.float32, device=image.device)[:, None] + motion[:, 1]).clamp(-1, height)
+    left, top = x.floor(), y.floor()
+    columns = [(left + k).clamp(0, width - 1).to(torch.int32) for k in (-1, 0, 1, 2)]
+    rows = [(top + k).clamp(0, height - 1).to(torch.int32) * width for k in (-1, 0, 1, 2)]
+    across, down = _weights(x - left, kernel), _weights(y - top, kernel)
+    planes = []
+    for plane in image.unbind(1):
+        flat = plane.flatten(1)
+        taps = [[flat.gather(1, (r + c).flatten(1).long()).view(x.shape) for c in columns] for r in rows]
+        lines = [sum(w * t for w, t in zip(across, line, strict=True)) for line in taps]
+        value: Tensor = sum(w * line for w, line in zip(down, lines, strict=True))  # type: ignore[assignment]
+        if bounded:
+            (a, b), (c, d) = taps[1][1:3], taps[2][1:3]
+            low, high = torch.minimum(torch.minimum(a, b), torch.minimum(c, d)), torch.maximum(a, b)
+            high = torch.maximum(high, torch.maximum(c, d))
+            value = torch.minimum(torch.maximum(value, low), high)
+        planes.append(value)
+    return torch.stack(planes, 1)
+
+
+def _weights(fraction: Tensor, kernel: Kernel) -> list[Tensor]:
+    """Weights of the four pixels around a position between the second and the third; their sum is 1."""
+    weights = [kernel(fraction - k) for k in (-1, 0, 1, 2)]
+    total = weights[0] + weights[1] + weights[2] + weights[3]
+    return [weight / total for weight in weights]
+
+
+# What a history may look like.
+
+
+def to_ycocg(rgb: Float[Tensor, "b 3 *s"]) -> Float[Tensor, "b 3 *s"]:
+    """Brightness (r + 2g + b) / 4, orange minus blue (r - b) / 2, green minus purple (2g - r - b) / 4.
+
+    Boxes around colours of one material are tighter along these axes than along red, green and blue.
+    """
+    r, g, b = rgb.unbind(1)
+    return torch.stack((0.25 * r + 0.5 * g + 0.25 * b, 0.5 * r - 0.5 * b, -0.25 * r + 0.5 * g - 0.25 * b), 1)
+
+
+def from_ycocg(ycocg: Float[Tensor, "b 3 *s"]) -> Float[Tensor, "b 3 *s"]:
+    """Inverse of `to_ycocg`."""
+    y, co, cg = ycocg.unbind(1)
+    return torch.stack((y + co - cg, y + cg, y - co - cg), 1)
+
+
+@dataclass(frozen=True)
+class Box:
+    """Values that a pixel may take, channel by channel."""
+
+    low: Float[Tensor, "b c h w"]
+    high: Float[Tensor, "b c h w"]
+
+    def clamp(self, image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
+        """The nearest value inside: each channel by itself."""
+        return torch.minimum(torch.maximum(image, self.low), self.high)
+
+    def clip(self, image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
+        """Where the straight line from the value to the middle of the box enters it: hues stay as they are."""
+        middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2
+        away = image - middle
+        times = (away.abs() / half.clamp(min=1e-6)).amax(1, keepdim=True).clamp(min=1)
+        return middle + away / times
+
+
+def neighbourhood(image: Float[Tensor, "b c h w"]) -> Box:
+    """Smallest and largest value in each pixel's 3 x 3 neighbourhood."""
+    return Box(-F.max_pool2d(-image, 3, 1, 1), F.max_pool2d(image, 3, 1, 1))
+
+
+def moments(image: Float[Tensor, "b c h w"]) -> tuple[Float[Tensor, "b c h w"], Float[Tensor, "b c h w"]]:
+    """Mean and standard deviation of each pixel's 3 x 3 neighbourhood; nothing counts beyond the border."""
+    mean, square = (F.avg_pool2d(v, 3, 1, 1, count_include_pad=False) for v in (image, image * image))
+    return mean, (square - mean * mean).clamp(min=0).sqrt()
+
+
+def spread(image: Float[Tensor, "b c h w"], gamma: float) -> Box:
+    """Variance clipping: mean plus and minus `gamma` standard deviations of the neighbourhood, but never beyond its
+    smallest and largest value."""
+    mean, deviation = moments(image)
+    around = neighbourhood(image)
+    return Box(around.clamp(mean - gamma * deviation), around.clamp(mean + gamma * deviation))
