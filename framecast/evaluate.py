@@ -88,7 +88,7 @@ def jobs(
             method = method_named(name, scale)
             require_mode(name, method, mode)
             require(clip, name, method)
-        _check_length(clip, mode)
+        require_length(clip, mode)
     for label, clip in zip(labels(clips), clips, strict=True):
         for name in dict.fromkeys(methods):
             scale = scale_of(method_named(name, scale_for(clip, mode, settings)))
@@ -250,8 +250,9 @@ def labels(clips: Sequence[Clip]) -> list[str]:
 # What is refused before anything runs.
 
 
-def _check_length(clip: Clip, mode: Mode) -> None:
-    if not any(counts(clip, index, mode) for index in range(1, len(clip), RATE)):
+def require_length(clip: Clip, mode: Mode) -> None:
+    """Raises ClipError where no frame can be hidden and made again."""
+    if mode != "pass" and not any(counts(clip, index, mode) for index in range(1, len(clip), RATE)):
         least = 3 if mode == "interpolate" else 5
         raise ClipError(
             f"{clip.path} has {len(clip)} frames; to hide every second one with --mode {mode}, at least {least} of one "

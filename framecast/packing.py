@@ -41,7 +41,7 @@ def pack(codes: UInt16[np.ndarray, "c h w"]) -> str:
         planes = np.stack((green, red - green, blue - green))
     missed = np.stack([plane - predicted(plane) for plane in planes])
     signless = ((missed << 1) ^ (missed >> 31)).astype(np.uint16)
-    squeeze = zlib.compressobj(9, zlib.DEFLATED, 15, 9, zlib.Z_FILTERED)
+    squeeze = zlib.compressobj(6, zlib.DEFLATED, 15, 9, zlib.Z_FILTERED)
     raw = (signless & 255).astype(np.uint8).tobytes() + (signless >> 8).astype(np.uint8).tobytes()
     return base64.b64encode(squeeze.compress(raw) + squeeze.flush()).decode()
 

@@ -23,7 +23,7 @@ from tyro.conf import Positional, arg
 from framecast import __version__, exr, packing
 from framecast.clip import Clip, ClipError
 from framecast.color import to_display
-from framecast.evaluate import Read, Settings, Shown, compared, counts, index_at, outputs, target
+from framecast.evaluate import Read, Settings, Shown, compared, counts, index_at, outputs, require_length, target
 from framecast.fit import method_named
 from framecast.importers import open_any
 from framecast.metrics import METRICS, flip_map, lpips_missing
@@ -117,6 +117,7 @@ def report(
     images, runs, notes = Images(), [], []
     for job in jobs:
         clip = clips[job.clip]
+        require_length(clip, job.mode)
         window = window_of(clip, job, (megabytes - 0.3) * 1e6 / len(jobs))
         made = {}
         for name in job.methods:

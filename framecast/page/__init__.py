@@ -81,9 +81,9 @@ def page(content: Content) -> str:
         notes="\n".join(f'<p class="warning">{escape(note)}</p>' for note in content.notes),
         css=(FOLDER / "page.css").read_text(),
         js="\n".join((FOLDER / name).read_text() for name in SCRIPTS),
-        tables="\n".join(table(name, group) for name, group in groups(content.rows).items()),
+        tables="\n".join(table(name, group) for name, group in tables(content)),
         about=facts(content),
-        data=json.dumps(data(content), separators=(",", ":")).replace("</", "<\\/"),
+        data=json.dumps(data(content), separators=(",", ":")).replace("<", "\\u003c"),
         images="\n".join(
             f'<script type="text/plain" id="{name}" data-size="{size}">{text}</script>'
             for name, (size, text) in content.images.items()
@@ -135,6 +135,11 @@ def lead(content: Content) -> str:
         f"{first} comes closest to {what} of {run.clip}: {metric.upper()} {texts[first]}{unit}; "
         f"next is {second} with {texts[second]}{unit}."
     )
+
+
+def tables(content: Content) -> list[tuple[str, list[Row]]]:
+    """Titles and rows of the tables, those of generated frames first."""
+    return sorted(groups(content.rows).items(), key=lambda item: item[1][0].role != "generated")
 
 
 def table(title: str, rows: Sequence[Row]) -> str:
