@@ -116,16 +116,14 @@ def _fit(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 def unpack(stored: Num[np.ndarray, "n h w"], count: int, packing: str) -> Float[np.ndarray, "count h w"]:
     """`count` numbers a pixel out of n channels, of which n / count make one number, most significant first.
 
-    base255: the sum of c_k / 255^k, c_k in 0..1. base256: the sum of byte_k / 256^(k + 1). Otherwise as they are.
+    base255: the sum of byte_k / 255^(k + 1); base256 likewise; bytes are given as 0..1. Otherwise as they are.
     """
     if packing not in ("base255", "base256"):
         return stored.astype(np.float32)
-    parts = stored.astype(np.float64).reshape(count, -1, *stored.shape[1:])
+    bytes_ = np.rint(stored.astype(np.float64) * 255).reshape(count, -1, *stored.shape[1:])
     base = 255.0 if packing == "base255" else 256.0
-    if packing == "base256":
-        parts = parts * 255 / 256
-    weights = base ** -np.arange(parts.shape[1])
-    packed: np.ndarray = np.einsum("ckhw,k->chw", parts, weights)
+    weights = base ** -np.arange(1.0, bytes_.shape[1] + 1)
+    packed: np.ndarray = np.einsum("ckhw,k->chw", bytes_, weights)
     return packed
 
 

@@ -297,9 +297,9 @@ def _value(kind: Any, value: Any, where: str) -> Any:
 def _tuple(arguments: tuple[Any, ...], value: Any, where: str) -> Any:
     """A list; where any length will do, also a single value without brackets."""
     free = len(arguments) == 2 and arguments[1] is Ellipsis
-    if free and not isinstance(value, list):
+    if free and not isinstance(value, list | tuple):
         value = [value]
-    if not isinstance(value, list) or not (free or len(value) == len(arguments)):
+    if not isinstance(value, list | tuple) or not (free or len(value) == len(arguments)):
         raise ClipError(f"{where} is {_short(value)}; it has to be a list of {len(arguments)} values")
     kinds = [arguments[0]] * len(value) if free else arguments
     return tuple(_value(kind, item, f"{where}[{i}]") for i, (kind, item) in enumerate(zip(kinds, value, strict=True)))
