@@ -1,0 +1,310 @@
+"""NSRR: a frame at twice its size, from its own samples and those of the four frames before it.
+
+Paper:   Xiao, Nouri, Chapman, Fix, Lanman, Kaplanyan, "Neural Supersampling for Real-time Rendering", ACM Transactions
+         on Graphics 39(4) (SIGGRAPH) 2020, https://doi.org/10.1145/3386569.3392376
+Follows: features of every frame (one network for the current, one that the earlier ones share), zeros between the
+         samples at display size, backward warping by accumulated motion, reweighting of the earlier frames in (0, 10),
+         reconstruction by a U-Net. Layers and widths are those that public implementations agree on: with one network
+         for the features of all frames they have 719,535 parameters and 382.7 GMAC from 480 x 270 to 1920 x 1080.
+Differs: Samples lie where the renderer took them: the jitter of every frame is part of the warp. The public code puts
+         them in the corners of their pixels.
+         Zeros between samples are never made: reading the nearest sample, weighted by its distance, is the same as
+         warping an image of them.
+         Colour is x / (1 + max) under the sRGB curve; the paper's images are not HDR, reimplementations use YCbCr.
+         Depth enters in [1/2, 1], so that a sample is never mistaken for nothing.
+         The network adds to an image that it sees (`Config.residual`): the mean of the samples of all frames under the
+         same weights. The paper's network makes the image from nothing.
+         Motion is accumulated surface by surface, as in ExtraNet. Features of earlier frames are kept, not made again.
+         The loss is 1 - SSIM + 5 L1, without the differences in VGG features, whose weights are not free to ship.
+Needs:   color, depth, motion
+Modes:   pass
+State:   samples, features and accumulated motion of the last four frames
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from framecast.color import decode_srgb, encode_srgb, tonemap, untonemap
+from framecast.frame import SKY, Frame
+from framecast.methods.reproject import steps
+from framecast.nets import padded
+from framecast.recipe import Recipe
+from framecast.resample import enlarge, lanczos, nearest_sample, size_at
+from framecast.warp import chain, pick
+
+PAST = 4
+"""Earlier frames that the network sees."""
+
+WHITE = 1 - 2.0**-10
+"""Largest tone-mapped value that comes back: 1023 in scene-linear colour."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """The network; the defaults are the published widths."""
+
+    scale: float = 2.0
+    """Output size divided by input size."""
+    features: tuple[int, int] = (32, 8)
+    """Channels inside of the feature networks, and of what they make."""
+    weights: int = 32
+    """Channels inside of the reweighting network."""
+    widths: tuple[int, int, int] = (64, 32, 128)
+    """Channels of the U-Net: outside and at half size, at its full-size joints, and at a quarter of the size."""
+    residual: bool = True
+    """Show the network the weighted mean of all samples and add its output to it; without it the published layers."""
+
+
+FAST = Config(weights=16, widths=(32, 16, 64))
+"""Half the channels at display size, as the "fast" variant of public implementations has them in the U-Net."""
+
+
+@dataclass(frozen=True)
+class Past:
+    """One earlier frame, on its own grid of samples."""
+
+    color: Float[Tensor, "b 3 h w"]
+    """Tone-mapped."""
+    shown: Float[Tensor, "b 4 h w"]
+    """The same under the sRGB curve, and depth as `nearness` encodes it: what networks see."""
+    features: Float[Tensor, "b f h w"]
+    depth: Float[Tensor, "b 1 h w"]
+    motion: Float[Tensor, "b 2 h w"]
+    """From each sample of the newest frame to its place on this one's grid of samples; 0 for the newest."""
+    time: Float[Tensor, " b"]
+    jitter: Float[Tensor, "b 2"]
+    known: Bool[Tensor, " b"]
+    """False for what was before the last reset."""
+
+
+@dataclass(frozen=True)
+class State:
+    """The last four frames, newest first; unknown ones where there were fewer since the last reset."""
+
+    past: tuple[Past, ...]
+
+
+for _kind in (Past, State):
+    torch.export.register_dataclass(_kind)
+
+
+def layer(inputs: int, outputs: int) -> nn.Sequential:
+    """3 x 3 convolution and rectifier."""
+    return nn.Sequential(nn.Conv2d(inputs, outputs, 3, 1, 1), nn.ReLU())
+
+
+def up(channels: int) -> nn.Sequential:
+    """Twice the size by a transposed 3 x 3 convolution, and a rectifier."""
+    return nn.Sequential(nn.ConvTranspose2d(channels, channels, 3, 2, 1, 1), nn.ReLU())
+
+
+class Reconstruction(nn.Module):
+    """The U-Net: 64, 32 at display size, 64, 64 at half and 128, 128 at a quarter of it as published.
+
+    Sizes have to be multiples of 4.
+    """
+
+    def __init__(self, inputs: int, widths: tuple[int, int, int]) -> None:
+        super().__init__()
+        a, b, c = widths
+        self.enter = nn.Sequential(layer(inputs, a), layer(a, b))
+        self.middle = nn.Sequential(nn.MaxPool2d(2), layer(b, a), layer(a, a))
+        self.bottom = nn.Sequential(nn.MaxPool2d(2), layer(a, c), layer(c, c), up(c))
+        self.join_middle = nn.Sequential(layer(c + a, a), layer(a, a), up(a))
+        self.join = layer(a + b, b)
+        self.leave = nn.Conv2d(b, 3, 3, 1, 1)
+
+    def forward(self, x: Float[Tensor, "b c H W"]) -> Float[Tensor, "b 3 H W"]:
+        full = self.enter(x)
+        half = self.middle(full)
+        half = self.join_middle(torch.cat((self.bottom(half), half), 1))
+        image: Tensor = self.leave(self.join(torch.cat((half, full), 1)))
+        return image
+
+
+class NSRR(nn.Module):
+    """See the top of this file."""
+
+    needs: tuple[str, ...] = ("color", "depth", "motion")
+    needs_generated: tuple[str, ...] = ()
+    modes: tuple[str, ...] = ("pass",)
+    scales: tuple[float, ...] = (2.0,)
+    parts: tuple[str, ...] = ("look", "moved", "predict")
+    history: int | None = PAST + 1
+    step_motion: bool = False
+
+    def __init__(self, config: Config = Config()) -> None:
+        super().__init__()
+        self.config = config
+        inner, outer = config.features
+        self.extract = nn.ModuleList(
+            nn.Sequential(layer(4, inner), layer(inner, inner), layer(inner, outer)) for _ in ("current", "past")
+        )
+        self.reweight = nn.Sequential(
+            layer(4 * (PAST + 1), config.weights),
+            layer(config.weights, config.weights),
+            nn.Conv2d(config.weights, PAST, 3, 1, 1),
+            nn.Tanh(),
+        )
+        seen = (PAST + 1) * (4 + outer)
+        self.reconstruct = Reconstruction(seen + 3 if config.residual else seen, config.widths)
+        nn.init.constant_(self.reweight[2].bias, -1.0986)  # type: ignore[arg-type]  # every frame weighs 1
+        if config.residual:
+            nn.init.normal_(self.reconstruct.leave.weight, std=1e-3)
+
+    def start(self, frame: Frame) -> State:
+        """The state before the first frame, which is `frame`: nothing is known."""
+        assert frame.depth is not None
+        b, _, h, w = frame.depth.shape
+        color, shown, features, depth, still = (
+            frame.depth.new_zeros(b, c, h, w) for c in (3, 4, self.config.features[1], 1, 2)
+        )
+        known = torch.zeros_like(frame.reset)
+        nothing = Past(color, shown, features, depth, still, frame.time, frame.jitter, known)
+        return State((nothing,) * PAST)
+
+    def forward(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 H W"], State]:
+        """The frame at display size, and the state with it as the newest of the past."""
+        now, past = self.look(frame), self.moved(frame, state)
+        return decoded(self.predict(now, past)), State((now, *past[:-1]))
+
+    def look(self, frame: Frame) -> Past:
+        """The frame as it will be remembered."""
+        assert frame.color is not None
+        assert frame.depth is not None
+        color = tonemap(frame.color).clamp(max=WHITE)
+        shown = torch.cat((encode_srgb(color), nearness(frame.depth)), 1)
+        features = self.extract[1](shown).float()
+        still, known = torch.zeros_like(color[:, :2]), torch.ones_like(frame.reset)
+        return Past(color, shown, features, frame.depth, still, frame.time, frame.jitter, known)
+
+    def moved(self, frame: Frame, state: State) -> tuple[Past, ...]:
+        """The past as the frame sees it: motion leads from the frame on, and before a reset nothing is known."""
+        assert frame.depth is not None
+        newest = state.past[0]
+        motion = steps(frame, newest.time, newest.jitter)
+        reached = [motion]
+        for past in state.past[1:]:
+            spans = (frame.time - newest.time, newest.time - past.time)
+            reached.append(chain([motion, past.motion], [frame.depth, newest.depth], spans))
+        return tuple(
+            replace(past, motion=m, known=past.known & ~frame.reset)
+            for past, m in zip(state.past, reached, strict=True)
+        )
+
+    def predict(self, now: Past, past: tuple[Past, ...]) -> Float[Tensor, "b 3 H W"]:
+        """The image, tone-mapped under the sRGB curve."""
+        small = (now.depth.shape[-2], now.depth.shape[-1])
+        size = size_at(small, self.config.scale)
+        features = self.extract[0](now.shown).float()
+        with torch.autocast(now.depth.device.type, enabled=False):
+            here, nearest = positions(small, size, now.jitter), nearest_sample(small, size, now.jitter)
+            placed = [place(torch.cat((now.color, now.shown, features), 1), here)]
+            for one in past:
+                values = torch.cat((one.color, one.shown, one.features), 1)
+                values, cover = place(values, here + pick(one.motion, nearest))
+                placed.append((values, cover * one.known[:, None, None, None]))
+        weights = 5 * (self.reweight(torch.cat([v[:, 3:7] * cover for v, cover in placed], 1)).float() + 1)
+        each = (torch.ones_like(weights[:, :1]), *weights.split(1, 1))
+        weighted = [(values, cover * weight) for (values, cover), weight in zip(placed, each, strict=True)]
+        x = torch.cat([values[:, 3:] * weight for values, weight in weighted], 1)
+        if not self.config.residual:
+            return self.reconstructed(x)
+        base = enlarge(now.color, size, now.jitter, lanczos).image.clamp(0, WHITE)
+        mean = encode_srgb(average([(values[:, :3], weight) for values, weight in weighted], base))
+        return mean + self.reconstructed(torch.cat((x, mean), 1))
+
+    def reconstructed(self, x: Float[Tensor, "b c H W"]) -> Float[Tensor, "b 3 H W"]:
+        """What the U-Net makes of its input, at any size."""
+        height, width = x.shape[-2:]
+        image: Tensor = self.reconstruct(padded(x, 4)).float()
+        return image[..., :height, :width]
+
+
+def average(
+    weighted: Sequence[tuple[Float[Tensor, "b 3 H W"], Float[Tensor, "b 1 H W"]]], base: Float[Tensor, "b 3 H W"]
+) -> Float[Tensor, "b 3 H W"]:
+    """Weighted mean of the samples on each display pixel; `base`, weakly, where there are none."""
+    total, sum_of_weights = 0.1 * base, torch.full_like(base[:, :1], 0.1)
+    for values, weight in weighted:
+        total, sum_of_weights = total + values * weight, sum_of_weights + weight
+    return total / sum_of_weights
+
+
+def nearness(depth: Float[Tensor, "b 1 h w"]) -> Float[Tensor, "b 1 h w"]:
+    """Depth d as 1/2 + 5 / (d + 10): 1 at the camera, 1/2 at the sky, the same from frame to frame."""
+    return torch.where(depth < SKY, 0.5 + 5 / (depth + 10), 0.5)
+
+
+def decoded(image: Float[Tensor, "b 3 H W"]) -> Float[Tensor, "b 3 H W"]:
+    """Scene-linear colour of an image that was tone-mapped and put under the sRGB curve."""
+    return untonemap(decode_srgb(image.clamp(0, 1)).clamp(max=WHITE))
+
+
+def encoded(color: Float[Tensor, "b 3 H W"]) -> Float[Tensor, "b 3 H W"]:
+    """Inverse of `decoded`, up to WHITE."""
+    return encode_srgb(tonemap(color).clamp(max=WHITE))
+
+
+def positions(small: tuple[int, int], size: tuple[int, int], jitter: Float[Tensor, "b 2"]) -> Float[Tensor, "b 2 H W"]:
+    """Column and row of the centre of each display pixel on the grid of samples, which lie on whole numbers."""
+    x, y = (
+        (torch.arange(large, device=jitter.device) + 0.5) * (few / large) - 0.5 - jitter[:, axis, None]
+        for axis, few, large in ((0, small[1], size[1]), (1, small[0], size[0]))
+    )
+    return torch.stack((x[:, None].expand(-1, *size), y[:, :, None].expand(-1, *size)), 1)
+
+
+def place(
+    values: Float[Tensor, "b c h w"], at: Float[Tensor, "b 2 H W"]
+) -> tuple[Float[Tensor, "b c H W"], Float[Tensor, "b 1 H W"]]:
+    """Samples on display pixels that lie at these columns and rows of their grid: the nearest one, and its cover.
+
+    Cover falls from 1 on the sample to 0 one display pixel away, per axis; beyond the grid it is 0. Value times cover
+    is what bilinear warping makes of the image with each sample in its display pixel and zeros between.
+    """
+    (height, width), size = values.shape[-2:], at.shape[-2:]
+    whole = at.round()
+    x, y = whole[:, 0].clamp(0, width - 1), whole[:, 1].clamp(0, height - 1)
+    away_x, away_y = (at[:, 0] - x).abs() * (size[1] / width), (at[:, 1] - y).abs() * (size[0] / height)
+    cover = (1 - away_x).clamp(min=0) * (1 - away_y).clamp(min=0)
+    image = torch.arange(values.shape[0], device=at.device)[:, None, None] * (height * width)
+    rows = values.permute(0, 2, 3, 1).flatten(0, 2)  # all channels of a sample lie together
+    nearest = rows[(y.long() * width + x.long() + image).flatten()]
+    return nearest.view(values.shape[0], *size, -1).permute(0, 3, 1, 2), cover[:, None]
+
+
+# Training.
+
+
+def loss(method: NSRR, frames: Sequence[Frame], targets: Float[Tensor, "b n 3 H W"]) -> dict[str, Float[Tensor, ""]]:
+    """The two terms on the last frame, tone-mapped under the sRGB curve."""
+    state = State((method.look(frames[0]),))
+    for frame in frames[1:-1]:
+        state = State((method.look(frame), *method.moved(frame, state)))
+    image = method.predict(method.look(frames[-1]), method.moved(frames[-1], state))
+    return difference(image, encoded(targets[:, -1]))
+
+
+def difference(image: Float[Tensor, "b 3 H W"], target: Float[Tensor, "b 3 H W"]) -> dict[str, Float[Tensor, ""]]:
+    """1 - SSIM and 5 L1 of two images in [0, 1]."""
+    return {"ssim": 1 - similarity(image, target), "l1": 5 * (image - target).abs().mean()}
+
+
+def similarity(image: Float[Tensor, "b 3 H W"], target: Float[Tensor, "b 3 H W"]) -> Float[Tensor, ""]:
+    """Mean structural similarity over windows of 7 x 7 pixels, three pixels apart; 1 where the images are equal."""
+    with torch.autocast(image.device.type, enabled=False):
+        a, b = image.float(), target.float()
+        mean_a, mean_b, squares, products = F.avg_pool2d(torch.cat((a, b, a * a + b * b, a * b), 1), 7, 3).chunk(4, 1)
+        means, product = mean_a * mean_a + mean_b * mean_b, mean_a * mean_b
+        light = (2 * product + 1e-4) / (means + 1e-4)
+        form = (2 * (products - product) + 9e-4) / (squares - means + 9e-4)
+        return (light * form).mean()
+
+
+recipe = Recipe(loss=loss, mode="pass", shaded=PAST + 1, crop=(64, 64), batch=4, steps=4000, rate=8e-4, warmup=100)
