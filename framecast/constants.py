@@ -238,7 +238,7 @@ def _far(buffers: Buffers) -> Any:
 
 def _metres(buffers: Buffers) -> tuple[Any, str]:
     if buffers.clip.provenance.get("source") == "unreal":
-        return 0.01, "Unreal's unit is the centimetre"
+        return 1.0, "distances given here are metres; 0.01 with distances in Unreal's centimetres"
     return 1.0, "scene units were taken for metres; 0.01 where they are centimetres"
 
 

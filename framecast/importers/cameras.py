@@ -46,11 +46,14 @@ class Pose:
     exposure: float | None = None
 
 
-def read_poses(path: Path, axes: str, size: tuple[int, int], fov: float | None = None) -> dict[int, Pose]:
+def read_poses(
+    path: Path, axes: str, size: tuple[int, int], *, fov: float | None = None, scale: float = 1.0
+) -> dict[int, Pose]:
     """Cameras by frame number.
 
     Args:
         axes: see `Settings.axes`. size: height and width of the images. fov: where the file does not tell.
+        scale: what positions are multiplied by.
 
     Raises:
         FileNotFoundError: no such file. ClipError: not such a file, in one sentence.
@@ -60,7 +63,7 @@ def read_poses(path: Path, axes: str, size: tuple[int, int], fov: float | None =
     try:
         about = json.loads(path.read_text(encoding="utf-8"))
         shared = {"fov": fov, **{k: v for k, v in about.items() if k != "frames"}}
-        return {int(row["frame"]): pose({**shared, **row}, axes, size) for row in about["frames"]}
+        return {int(row["frame"]): pose({**shared, **row}, axes, size, scale) for row in about["frames"]}
     except ClipError as error:
         raise ClipError(f"{path}: {error}") from error
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError, np.linalg.LinAlgError) as error:
@@ -69,7 +72,7 @@ def read_poses(path: Path, axes: str, size: tuple[int, int], fov: float | None =
         ) from error
 
 
-def pose(row: Mapping[str, Any], axes: str, size: tuple[int, int]) -> Pose:
+def pose(row: Mapping[str, Any], axes: str, size: tuple[int, int], scale: float = 1.0) -> Pose:
     """One camera from what a file says of a frame.
 
     Raises:
@@ -77,7 +80,7 @@ def pose(row: Mapping[str, Any], axes: str, size: tuple[int, int]) -> Pose:
     """
     jitter, exposure = row.get("jitter"), row.get("exposure")
     return Pose(
-        view=_view(row, axes),
+        view=_view(row, axes, scale),
         projection=_projection(row, size),
         jitter=None if jitter is None else (float(jitter[0]), float(jitter[1])),
         cut=bool(row.get("cut", False)),
@@ -85,7 +88,7 @@ def pose(row: Mapping[str, Any], axes: str, size: tuple[int, int]) -> Pose:
     )
 
 
-def _view(row: Mapping[str, Any], axes: str) -> Matrix | None:
+def _view(row: Mapping[str, Any], axes: str, scale: float) -> Matrix | None:
     if "view" in row:
         view, facing = _affine(row["view"], "view"), FACING[axes]
     elif "camera_to_world" in row:
@@ -100,8 +103,9 @@ def _view(row: Mapping[str, Any], axes: str) -> Matrix | None:
         return None
     turned = np.eye(4)
     turned[:3, :3] = facing @ view[:3, :3] @ AXES[axes].T
-    turned[:3, 3] = facing @ view[:3, 3]
-    turned[:3, :3] /= np.linalg.norm(turned[:3, :3], axis=1, keepdims=True)
+    stretch = np.linalg.norm(turned[:3, :3], axis=1)
+    turned[:3, :3] /= stretch[:, None]
+    turned[:3, 3] = facing @ view[:3, 3] / stretch * scale
     return rows(turned)
 
 

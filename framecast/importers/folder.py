@@ -4,10 +4,8 @@
 makes of a folder that it recognises.
 """
 
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,88 +17,8 @@ from framecast.importers import images
 from framecast.importers.blender import FPS, ranges
 from framecast.importers.cameras import Pose, pose, read_poses
 from framecast.importers.decode import decode, decode_jitter, jitter_pixels, picture_size
+from framecast.importers.listing import Listing
 from framecast.importers.settings import Depth, Layer, Motion, Settings, layers, plain
-
-MOST = 200_000
-"""Files that a folder is searched for."""
-
-
-@dataclass(frozen=True)
-class Listing:
-    """Files of a folder and of the folders in it, by path relative to it."""
-
-    folder: Path
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Image files in order, hidden ones left out; raises FileNotFoundError where there is no such folder."""
-        if not self.folder.is_dir():
-            what = "a file" if self.folder.is_file() else "not there"
-            raise FileNotFoundError(f"{self.folder} is {what}; give the folder that holds the rendered files")
-        found = []
-        for depth in ("*", "*/*", "*/*/*", "*/*/*/*"):
-            for path in self.folder.glob(depth):
-                name = path.relative_to(self.folder).as_posix()
-                if path.suffix.lower() in images.EXTENSIONS and not any(p.startswith(".") for p in name.split("/")):
-                    found.append(name)
-                if len(found) > MOST:
-                    raise ClipError(f"{self.folder} holds more than {MOST} files; give the folder of one shot")
-        return tuple(sorted(found))
-
-    def numbered(self, pattern: str) -> dict[int, str]:
-        """Files that match a pattern, by frame number.
-
-        Raises:
-            ClipError: two sequences, or two files of one frame, match.
-        """
-        expression = re.compile(expressed(pattern))
-        groups: dict[tuple[str, ...], dict[int, str]] = {}
-        for name in self.names:
-            if match := expression.fullmatch(name):
-                numbers = groups.setdefault(tuple(v for k, v in match.groupdict().items() if k != "frame"), {})
-                number = int(match["frame"])
-                if number in numbers:
-                    raise ClipError(
-                        f"{self.folder} holds two files of frame {number}, {numbers[number]} and {name}; keep one"
-                    )
-                numbers[number] = name
-        if len(groups) > 1:
-            each = " and ".join(f"{next(iter(g.values()))} ... {ranges(g)}" for g in list(groups.values())[:4])
-            raise ClipError(
-                f"{self.folder} holds {len(groups)} sequences ({each}); put each shot into a folder of its own"
-            )
-        return dict(sorted(next(iter(groups.values())).items())) if groups else {}
-
-    def first(self, pattern: str) -> images.About | None:
-        """What the first file that matches a pattern says of itself; None where none does."""
-        expression = re.compile(expressed(pattern))
-        name = next((name for name in self.names if expression.fullmatch(name)), None)
-        return None if name is None else images.about(self.folder / name)
-
-    def patterns(self) -> dict[str, str]:
-        """File patterns of all numbered files, each with its first file; the last number of a name is the frame's."""
-        found: dict[str, str] = {}
-        for name in self.names:
-            parent, _, file = name.rpartition("/")
-            if match := re.fullmatch(r"(.*?)(\d+)(\D*\.\w+)", file):
-                pattern = f"{match[1]}{{frame}}{match[3]}"
-                found.setdefault(f"{parent}/{pattern}" if parent else pattern, name)
-        return found
-
-
-def expressed(pattern: str) -> str:
-    """A regular expression for a file pattern; letters match in any case."""
-    parts = re.split(r"(\{frame\}|\*)", pattern)
-    stars = iter(range(len(parts)))
-    text = [
-        r"(?P<frame>\d{1,9})"
-        if part == "{frame}"
-        else rf"(?P<s{next(stars)}>[^/]*)"
-        if part == "*"
-        else re.escape(part)
-        for part in parts
-    ]
-    return "(?i)" + "".join(text)
 
 
 @dataclass(frozen=True)
@@ -114,6 +32,62 @@ class Found:
     """Other readings of `settings.motion`, where the format leaves it open: the one that fits the pictures is taken."""
 
 
+@dataclass(frozen=True)
+class Dump:
+    """Files of a shot, looked through but not read."""
+
+    folder: Path
+    settings: Settings
+    files: Mapping[str, Mapping[int, tuple[str, ...]]]
+    """File names of each buffer by frame number."""
+    records: tuple[Record, ...]
+    size: tuple[int, int]
+    """Height and width of the frames."""
+
+    def stored(self, record: Record) -> Layers:
+        """Channels of a frame as its files hold them, each file read once; without vectors that have no file."""
+        opened: dict[str, Mapping[str, np.ndarray]] = {}
+        out: Layers = {}
+        for name, layer in layers(self.settings).items():
+            parts = []
+            for file in self.files[name].get(record.number, ()):
+                path = self.folder / file
+                if file not in opened:
+                    opened[file] = images.channels(path)
+                parts += [opened[file][images.found(path, channel, opened[file])] for channel in layer.channels]
+            out |= {name: np.stack(parts)} if parts else {}
+        return out
+
+    def decoded(self, stored: Layers, record: Record, settings: Settings | None = None) -> Layers:
+        """The fields of a frame by its stored channels, with these settings in place of the own ones.
+
+        Raises:
+            ClipError: what `decode` refuses.
+        """
+        index = self.records.index(record)
+        before = self.records[index - 1] if index else None
+        after = self.records[index + 1] if index + 1 < len(self.records) else None
+        try:
+            out = decode(stored, settings or self.settings, record, before, after)
+        except ClipError as error:
+            raise ClipError(f"frame {record.number} of {self.folder}: {error}") from error
+        missing = layers(self.settings).keys() - stored.keys()  # vectors at an end, which reach beyond the files
+        return out | {name: np.zeros((2, *self.size), np.float32) for name in missing}
+
+
+def scan(folder: Path | str, settings: Settings, poses: Mapping[int, Pose] | None = None) -> Dump:
+    """Look through a folder; arguments and errors as `open_folder`."""
+    listing = Listing(Path(folder))
+    told = layers(settings)
+    files = {name: _files(listing, name, layer) for name, layer in told.items()}
+    numbers = _numbers(listing.folder, told, files)
+    seen: dict[str, images.About] = {}
+    sizes = {name: _checked(listing.folder, name, told[name], files[name], numbers, seen) for name in told}
+    size = picture_size(sizes, settings)
+    records = _records(numbers, settings, poses or _poses(listing.folder, settings, size), size)
+    return Dump(listing.folder, settings, files, records, size)
+
+
 def open_folder(
     folder: Path | str,
     settings: Settings,
@@ -125,7 +99,7 @@ def open_folder(
     """The frames that settings describe, lazily read.
 
     Args:
-        poses: cameras by frame number; None: from the file that the settings name, if any.
+        poses: cameras by frame number; without them from the file that the settings name, if any.
         fps: frames a second, above what the settings say.
         repair: replace NaN and infinite pixels in place of refusing them.
 
@@ -133,42 +107,26 @@ def open_folder(
         FileNotFoundError: no such folder. ClipError: no file, a frame missing, only one, sizes or channels that differ,
             8 bits of depth or motion; and, when read, what `decode` refuses.
     """
-    listing = Listing(Path(folder))
-    told = layers(settings)
-    files = {name: _files(listing, name, layer) for name, layer in told.items()}
-    numbers = _numbers(listing.folder, told, files)
-    raw_sizes = {name: _checked(listing.folder, name, told[name], files[name], numbers) for name in told}
-    size = picture_size(raw_sizes, settings)
-    if poses is None:
-        poses = _poses(listing.folder, settings, size)
-    records = _records(numbers, settings, poses, size)
-    neighbours = dict(
-        zip((r.number for r in records), zip((None, *records), (*records[1:], None), strict=False), strict=False)
-    )
+    dump = scan(folder, settings, poses)
 
     def load(record: Record) -> Layers:
-        stored = {name: _stored(listing.folder, told[name], files[name].get(record.number)) for name in told}
-        before, after = neighbours[record.number]
-        held = {name: pixels for name, pixels in stored.items() if pixels is not None}
-        try:
-            out = decode(held, settings, record, before, after)
-        except ClipError as error:
-            raise ClipError(f"frame {record.number} of {listing.folder}: {error}") from error
-        for name in told.keys() - held.keys():  # vectors at an end, which reach beyond the files
-            out[name] = np.zeros((2, *size), np.float32)
+        out = dump.decoded(dump.stored(record), record)
         return repaired(out)[0] if repair else out
 
-    clip = Clip(
-        path=listing.folder,
+    return Clip(
+        path=dump.folder,
         fps=_rate(fps, settings),
-        size=size,
-        records=records,
+        size=dump.size,
+        records=dump.records,
         load=load,
-        layers=(),
+        layers=tuple(load(dump.records[1])),
         span=settings.span,
-        provenance={"source": settings.source, "notes": _notes(fps, settings, poses), "settings": plain(settings)},
+        provenance={
+            "source": settings.source,
+            "notes": _notes(fps, settings, dump.records[0].view is not None),
+            "settings": plain(settings),
+        },
     )
-    return replace(clip, layers=tuple(load(records[min(1, len(records) - 1)])))
 
 
 def _files(listing: Listing, name: str, layer: Layer) -> dict[int, tuple[str, ...]]:
@@ -218,9 +176,17 @@ def _numbers(folder: Path, told: Mapping[str, Layer], files: Mapping[str, Mappin
 
 
 def _checked(
-    folder: Path, name: str, layer: Layer, files: Mapping[int, tuple[str, ...]], numbers: Sequence[int]
+    folder: Path,
+    name: str,
+    layer: Layer,
+    files: Mapping[int, tuple[str, ...]],
+    numbers: Sequence[int],
+    seen: dict[str, images.About],
 ) -> tuple[int, int]:
     """Height and width of a buffer's files.
+
+    Args:
+        seen: what is known of files by now; each is looked into once.
 
     Raises:
         ClipError: they differ, lack a channel, or hold depth or motion in 8 bits.
@@ -228,7 +194,9 @@ def _checked(
     first: images.About | None = None
     for number in numbers:
         for file in files.get(number, ()):
-            about = images.about(folder / file)
+            if file not in seen:
+                seen[file] = images.about(folder / file)
+            about = seen[file]
             first = first or about
             if about.size != first.size:
                 (h, w), (height, width) = about.size, first.size
@@ -249,18 +217,11 @@ def _checked(
     return first.size
 
 
-def _stored(folder: Path, layer: Layer, files: tuple[str, ...] | None) -> np.ndarray | None:
-    if files is None:
-        return None
-    parts = [images.read(folder / file, layer.channels) for file in files]
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
 def _poses(folder: Path, settings: Settings, size: tuple[int, int]) -> dict[int, Pose]:
     cameras = settings.cameras
     if cameras is None or cameras.file is None:
         return {}
-    return read_poses(folder / cameras.file, settings.axes, size, cameras.fov)
+    return read_poses(folder / cameras.file, settings.axes, size, fov=cameras.fov, scale=cameras.scale)
 
 
 def _records(
@@ -306,15 +267,15 @@ def _rate(asked: float | None, settings: Settings) -> float:
     return asked or settings.fps or FPS
 
 
-def _notes(asked: float | None, settings: Settings, poses: Mapping[int, Pose]) -> list[str]:
+def _notes(asked: float | None, settings: Settings, has_cameras: bool) -> list[str]:
     """What a user should know of this folder, one sentence each."""
     rate = f"{_rate(asked, settings):g} frames a second"
-    view_normals = settings.normal is not None and settings.normal.space == "view" and not poses
+    view_normals = settings.normal is not None and settings.normal.space == "view" and not has_cameras
     notes = {
         f"{rate}, as asked": asked is not None,
         f"{rate}, from the settings": asked is None and settings.fps is not None,
         f"{rate}, assumed: nothing tells (say it with --fps)": asked is None and settings.fps is None,
         "no normal: it is stored in view space, and no camera is known": view_normals,
-        "no cameras: methods that need them are not available": not poses,
+        "no cameras: methods that need them are not available": not has_cameras,
     }
     return [*(note for note, holds in notes.items() if holds), *settings.notes]

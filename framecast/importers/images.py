@@ -6,7 +6,7 @@ channels, named 0, 1, 2 ...
 
 import warnings
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -55,37 +55,41 @@ def about(path: Path) -> About:
         return About((image.height, image.width), tuple(_letters(image)), bits, {})
 
 
+def channels(path: Path) -> dict[str, Num[np.ndarray, "h w"]]:
+    """Every channel of a file by name.
+
+    Raises:
+        FileNotFoundError: no such file. ClipError: it cannot be read.
+    """
+    if path.suffix.lower() == ".exr":
+        return exr.read(path).channels
+    if path.suffix.lower() in (".npy", ".npz"):
+        pixels = _array(path)
+        return {str(place): pixels[:, :, place] for place in range(pixels.shape[2])}
+    pixels, names = _pixels(path)
+    return {name: pixels[:, :, place] for place, name in enumerate(names)}
+
+
 def read(path: Path, names: Sequence[str]) -> Num[np.ndarray, "n h w"]:
     """These channels of a file; a name may differ in case where it is not ambiguous.
 
     Raises:
         FileNotFoundError: no such file. ClipError: it cannot be read, or lacks a channel.
     """
-    if path.suffix.lower() == ".exr":
-        image = exr.read(path)
-        return np.stack([image.channels[_found(path, name, list(image.channels))] for name in names])
-    if path.suffix.lower() in (".npy", ".npz"):
-        pixels = _array(path)
-        held = list(map(str, range(pixels.shape[2])))
-    else:
-        pixels, held = _pixels(path)
-    index = [held.index(_found(path, name, held)) for name in names]
-    return np.ascontiguousarray(np.moveaxis(pixels[:, :, index], 2, 0))
+    held = channels(path)
+    return np.stack([held[found(path, name, held)] for name in names])
 
 
-def _found(path: Path, name: str, held: list[str]) -> str:
-    """The channel of that name, in any case."""
-    if name in held:
-        return name
-    same = [other for other in held if other.casefold() == name.casefold()]
-    if len(same) == 1:
-        return same[0]
+def found(path: Path, name: str, held: Collection[str]) -> str:
+    """The channel of that name among those that a file holds, in any case; raises ClipError without one."""
+    if (match := matching(held, name)) is not None:
+        return match
     near = get_close_matches(name, held, 1)
-    meant = f"did you mean {near[0]}?" if near else f"it has {short(held)}"
+    meant = f"did you mean {near[0]}?" if near else f"it has {short(list(held))}"
     raise ClipError(f"{path} has no channel {name}; {meant}")
 
 
-def matching(names: Sequence[str], wanted: str) -> str | None:
+def matching(names: Collection[str], wanted: str) -> str | None:
     """The one name that equals `wanted` in any case, or None."""
     same = [name for name in names if name.casefold() == wanted.casefold()]
     return wanted if wanted in names else same[0] if len(same) == 1 else None

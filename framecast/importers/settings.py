@@ -136,6 +136,8 @@ class Cameras:
     file: str | None = None
     fov: float | None = None
     """Vertical field of view in degrees, where the file does not tell."""
+    scale: float = 1.0
+    """What positions in the file are multiplied by to have the unit of depth; 0.01 from centimetres to metres."""
     motion: bool = False
     """Where no vectors are stored, compute those of the camera's motion; right where nothing moves by itself."""
 
@@ -386,6 +388,8 @@ def _check_cameras(cameras: Cameras) -> None:
         raise ClipError("cameras needs a file or a fov")
     if cameras.file is not None:
         _inside("cameras.file", cameras.file)
+    if not cameras.scale > 0:
+        raise ClipError(f"cameras.scale is {cameras.scale:g}; it has to be above 0")
     if cameras.fov is not None and not 0 < cameras.fov < 180:
         raise ClipError(f"cameras.fov is {cameras.fov:g}; it has to lie between 0 and 180 degrees")
 

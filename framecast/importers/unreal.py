@@ -6,7 +6,8 @@ write down sign and scale of the codes, and descriptions disagree: the reading t
 
 Raw dumps: files named like the targets: SceneColor, SceneDepthZ, Velocity, GBufferA (normal), GBufferB (metallic in R,
 roughness in B), GBufferC (base colour). Velocity is current minus previous, y up, stored as v * 0.2495 + 32767 / 65535,
-of which newer versions store the square root; 0 means that nothing was written. Distances are in centimetres.
+of which newer versions store the square root; 0 means that nothing was written. Cameras, with positions in
+centimetres, may lie beside them in `cameras.json`. Distances become metres.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +20,7 @@ from framecast.importers import images
 from framecast.importers.cameras import Pose, pose
 from framecast.importers.folder import Found, Listing
 from framecast.importers.passes import Pass, find, passes
-from framecast.importers.settings import Color, Depth, Motion, Normal, Scalar, Settings
+from framecast.importers.settings import Cameras, Color, Depth, Motion, Normal, Scalar, Settings
 
 LOOKS = "passes named MovieRenderQueue_MotionVectors or _WorldDepth, or files named SceneColor and Velocity"
 
@@ -29,8 +30,13 @@ SPAN = 0.2495
 MIDDLE = 32767 / 65535
 """The code of no motion."""
 
-NEAR = 10.0
-"""Unreal's default near plane in centimetres."""
+METRES = 0.01
+"""Unreal's unit. Distances become metres, since those from 655 metres on would not fit into a half float."""
+
+NEAR = 0.1
+"""Unreal's default near plane, 10 centimetres."""
+
+CAMERAS = "cameras.json"
 
 POSES = {
     "position": ("curPos/x", "curPos/y", "curPos/z"),
@@ -41,7 +47,7 @@ POSES = {
 def recognise(listing: Listing) -> Found | None:
     """What the folder holds if Unreal wrote it, else None."""
     held = passes(listing)
-    return _movie(listing, held) or _targets(held)
+    return _movie(listing, held) or _targets(listing, held)
 
 
 def _movie(listing: Listing, held: Sequence[Pass]) -> Found | None:
@@ -56,7 +62,7 @@ def _movie(listing: Listing, held: Sequence[Pass]) -> Found | None:
         source="unreal",
         axes="unreal",
         color=Color(**color[0].layer("RGB")) if color else None,
-        depth=Depth(**depth.layer("R")) if depth else None,
+        depth=Depth(**depth.layer("R"), scale=METRES) if depth else None,
         motion=readings[0] if readings else None,
         **_materials(held),
     )
@@ -103,7 +109,7 @@ def _header_poses(listing: Listing, pattern: str, size: tuple[int, int]) -> dict
         row = _row(images.about(listing.folder / Path(name)).text)
         if row is None:
             return {}
-        found[number] = pose(row, "unreal", size)
+        found[number] = pose(row, "unreal", size, METRES)
     return found
 
 
@@ -119,7 +125,7 @@ def _row(text: Mapping[str, str]) -> dict[str, Any] | None:
     return None
 
 
-def _targets(held: Sequence[Pass]) -> Found | None:
+def _targets(listing: Listing, held: Sequence[Pass]) -> Found | None:
     velocity = find(held, ("velocity",), ("RG",))
     color = find(held, ("scenecolor", "scenecolordeferred", "scenecolorhdr"), ("RGB",))
     if velocity is None or color is None:
@@ -145,9 +151,10 @@ def _targets(held: Sequence[Pass]) -> Found | None:
         normal=Normal(**a[0].layer("RGB"), encoded=True) if a else None,
         metallic=Scalar(**b[0].layer("R")) if b else None,
         roughness=Scalar(**b[0].layer("B")) if b else None,
+        cameras=Cameras(file=CAMERAS, scale=METRES) if (listing.folder / CAMERAS).is_file() else None,
         notes=(
             "depth was read as reversed, with Unreal's default near plane of 10 cm",
-            "where no velocity was written the camera's motion is taken, which needs cameras (see cameras.file)",
+            "where no velocity was written the camera's motion is taken; without cameras.json that is none",
         ),
     )
     return Found(settings, readings=[replace(plain, packing="unreal_sqrt", scale=(1 / SPAN, 1 / SPAN))])
