@@ -25,7 +25,7 @@ from torch import Tensor
 from torch._dynamo.utils import counters
 from tyro.conf import Positional
 
-from framecast import exr
+from framecast import cost, exr
 from framecast.fit import Method, method_named
 from framecast.frame import Frame, moment, perspective, pixel_grid, unshaded
 from framecast.runtime import can_compile, compiled
@@ -423,9 +423,10 @@ def command(
     threads: int | None = None,
     device: str = "cpu",
     compile: bool = True,
+    model: bool = False,
     json: Path | None = None,
 ) -> None:
-    """Measure time and memory of methods, per role, eager and compiled.
+    """Measure time and memory of methods, per role, eager and compiled; or count what their networks compute.
 
     Args:
         methods: names of methods.
@@ -435,6 +436,7 @@ def command(
         threads: CPU threads; by default as many as PyTorch takes.
         device: cpu, cuda, mps.
         compile: measure compiled methods too, and how long compilation takes.
+        model: print parameters and multiply-accumulates instead, also of networks that are only trained.
         json: file for the rows.
     """
     width, height = _size(size)
@@ -442,6 +444,9 @@ def command(
         raise ValueError(f"--repeats is {repeats}; it has to be a whole number, at least 1")
     if threads is not None:
         torch.set_num_threads(threads)
+    if model:
+        Console().print(cost.table([cost.cost(name) for name in methods], width, height))
+        return
     rows = bench(methods, baseline, Settings(height, width, repeats, device, compile))
     described = machine(device)
     console = Console()

@@ -37,6 +37,9 @@ class Recipe:
     """Steps over which the rate rises from 0."""
     floor: float = 1e-6
     """Learning rate at the last step, reached along a cosine."""
+    settle: float = 0.6
+    """Part of the steps after which normalisation uses the statistics it has gathered, as it does after training:
+    those of single small batches are noise to which a network must not get used."""
     clip_norm: float = 1.0
     """Largest norm of the gradient; longer ones are shortened to it."""
     stops: float = 1.0

@@ -76,10 +76,14 @@ def moving_shading(clip: Clip, index: int) -> Mask | None:
 
 
 def thin(depth: Float[Tensor, "1 1 h w"]) -> Mask:
-    """Things up to two pixels wide that stand before something else: what a 3 x 3 opening of nearness removes."""
+    """Things up to two pixels wide that stand before something else: what a 3 x 3 opening of nearness removes.
+
+    Pixels at the edge of the image never count: what lies beyond them is not known.
+    """
     near = inverse_depth(depth)
     opened = F.max_pool2d(-F.max_pool2d(-near, 3, 1, 1), 3, 1, 1)
-    return near > opened * (1 + THIN) + 1e-6
+    found = near > opened * (1 + THIN) + 1e-6
+    return F.pad(found[..., 1:-1, 1:-1], (1, 1, 1, 1))
 
 
 def border(depth: Float[Tensor, "1 1 h w"]) -> Mask:

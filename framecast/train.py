@@ -62,6 +62,8 @@ class Settings:
     """Steps between strips of pictures; 0: none."""
     minutes: float = math.inf
     """Stop, with a checkpoint, after so long; the same command goes on."""
+    initial: Path | None = None
+    """Weights to begin with, of the same method; by default random ones."""
 
 
 def train(
@@ -86,7 +88,6 @@ def train(
         write_json(folder / "config.json", about)
     feed = batches(samples, start, rank=rank, world=world, workers=settings.workers, pin=device.startswith("cuda"))
     recorder = Recorder(folder, start, recipe, settings, quiet=rank > 0)
-    method.train()
     began = clock.perf_counter()
     step = start
     with recorder:
@@ -94,6 +95,7 @@ def train(
             waited = clock.perf_counter()
             batch = to(next(feed), device)
             recorder.waited(clock.perf_counter() - waited)
+            learning(method, settled=step >= recipe.settle * recipe.steps)
             for group in optimiser.param_groups:
                 group["lr"] = rate(recipe, step)
             terms = improve(method, recipe, optimiser, batch, step, fast, folder)
@@ -106,6 +108,14 @@ def train(
         if rank == 0 and step > start:
             save(folder, name, method, optimiser, step)
     return step >= recipe.steps
+
+
+def learning(method: Method, *, settled: bool) -> None:
+    """Puts the method into training; its batch normalisation, where settled, into use."""
+    method.train()
+    for layer in method.modules():
+        if settled and isinstance(layer, nn.BatchNorm2d):
+            layer.eval()
 
 
 def improve(
@@ -204,7 +214,7 @@ def described(recipe: Recipe, sources: Sequence[Footage], settings: Settings) ->
     terms = getattr(recipe.loss, "__qualname__", str(recipe.loss))
     clips = sorted(source.clip.path.name for source in sources)
     plain: dict[str, Any] = json.loads(json.dumps({"recipe": {"loss": terms, **values}, "clips": clips}))
-    return {**plain, "seed": settings.seed}
+    return {**plain, "seed": settings.seed, "initial": settings.initial and str(settings.initial)}
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
@@ -324,7 +334,6 @@ def picture(method: Method, batch: Batch, path: Path) -> None:
         state = method.start(frames[0])
         for frame in frames:
             image, state = method(frame, state)
-    method.train()
     color = frames[-2].color
     assert color is not None
     last = nn.functional.interpolate(color, image.shape[-2:])
@@ -367,6 +376,8 @@ def command(
         raise FileNotFoundError(f"no clip matches {clips!r}; give a pattern in quotes, such as 'clips/train/*'")
     torch.manual_seed(settings.seed)
     made = make()
+    if settings.initial is not None:
+        checkpoint.fill(made, method, settings.initial)
     sources = []
     for path in paths:
         clip = open_any(path)

@@ -106,6 +106,16 @@ def test_flipping_twice_is_nothing(flip: str) -> None:
         torch.testing.assert_close(getattr(again, name), getattr(now, name))
 
 
+def test_flips_together_are_one_after_the_other() -> None:
+    now, _ = turning()
+    one_by_one = now
+    for flip in ("transpose", "horizontal", "vertical"):
+        one_by_one = flipped(one_by_one, flip)
+    at_once = flipped(now, "transpose", "horizontal", "vertical")
+    for name in ("color", "motion", "normal", "view", "projection", "jitter"):
+        torch.testing.assert_close(getattr(at_once, name), getattr(one_by_one, name))
+
+
 # The cache.
 
 

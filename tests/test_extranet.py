@@ -17,6 +17,7 @@ from framecast.methods.extranet import (
     features,
     hole_loss,
     loss,
+    loss_without_shading,
     scattered,
     shading_loss,
 )
@@ -265,6 +266,21 @@ def test_no_loss_when_nothing_changes_and_gradients_reach_every_layer() -> None:
     assert all(p.grad is not None and bool(torch.isfinite(p.grad).all()) for p in method.parameters())
     assert method.network.encoder is not None
     assert any(bool(p.grad.abs().sum() > 0) for p in method.network.encoder.parameters() if p.grad is not None)
+
+
+def test_losses_under_bfloat16_are_near_those_of_float32() -> None:
+    """Everything but the network stays in full precision: warps and positions would be off by pixels."""
+    frames = [shot(t) for t in (0.0, 2.0, 4.0)]
+    target = shot(5.0, span=1.0)
+    method = silent()
+    for terms in (loss, loss_without_shading):
+        exact = terms(method, [*frames, unshaded(target)], target.color[:, None])
+        with torch.autocast("cpu", torch.bfloat16):
+            rounded = terms(method, [*frames, unshaded(target)], target.color[:, None])
+        assert rounded.keys() == exact.keys()
+        for name, term in rounded.items():
+            assert term.dtype == torch.float32
+            assert float(term.detach()) == pytest.approx(float(exact[name].detach()), abs=1e-3)
 
 
 # The call.

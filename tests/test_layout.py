@@ -39,6 +39,7 @@ LEVELS = {
     "upsample": 5,
     "train": 5,
     "evaluate": 5,
+    "cost": 5,
     "bench": 5,
     "page": 5,
     "report": 6,

@@ -82,10 +82,33 @@ def test_the_rate_rises_and_falls() -> None:
 
 def test_the_loss_falls(source: Footage, tmp_path: Path) -> None:
     """Below that of the same network on the same samples, had it learned nothing."""
-    for name, rate in (("learned", 5e-3), ("still", 0.0)):
-        run(source, tmp_path / name, replace(RECIPE, steps=20, rate=rate, floor=0.0, stops=0.0))
+    for name, highest in (("learned", 5e-3), ("still", 0.0)):
+        run(source, tmp_path / name, replace(RECIPE, steps=20, rate=highest, floor=0.0, stops=0.0))
     learned, still = ([line["loss"] for line in lines(tmp_path / name)] for name in ("learned", "still"))
     assert sum(learned[-5:]) < 0.9 * sum(still[-5:])
+
+
+def test_settled_normalisation_no_longer_follows_batches(source: Footage, tmp_path: Path) -> None:
+    """With weights held still, its statistics after six steps are those of the three before it settled."""
+    still = replace(RECIPE, rate=0.0, floor=0.0)
+    plans = (replace(still, settle=0.5), replace(still, steps=3, settle=1.0), replace(still, settle=1.0))
+    settled, three, six = (run(source, tmp_path / str(k), plan).state_dict() for k, plan in enumerate(plans))
+    means = [name for name in settled if name.endswith("running_mean")]
+    assert means
+    for name in means:
+        assert torch.equal(settled[name], three[name])
+        assert not torch.equal(settled[name], six[name])
+
+
+def test_a_run_can_begin_with_weights(source: Footage, tmp_path: Path) -> None:
+    """The first step is tiny (warm-up), so the weights after it are nearly those it began with."""
+    about = {"clips": str(source.clip.path), "steps": 1, "batch": 1, "crop": 16, "cache": tmp_path / "cache"}
+    command("extranet", out=tmp_path / "a", settings=SETTINGS, **about)
+    begun = replace(SETTINGS, seed=3, initial=tmp_path / "a" / "weights.safetensors")
+    command("extranet", out=tmp_path / "b", settings=begun, **about)
+    first, second = (checkpoint.load(tmp_path / name / "weights.safetensors")[0] for name in "ab")
+    for name in (key for key in first if key.endswith("weight")):
+        torch.testing.assert_close(second[name], first[name], atol=1e-4, rtol=0)
 
 
 def test_a_run_folder_is_complete(source: Footage, tmp_path: Path) -> None:

@@ -14,7 +14,8 @@ Differs: Motion is accumulated from the newest frame on, each vector read where 
          Position tolerance is relative to depth, so that it does not depend on the scene's unit.
          The divisor of demodulation is base colour + 0.04 (1 - metallic), and 1 at the sky: the sky needs no image of
          its own. Jitter of all frames is part of the motion.
-         Losses are means of each image, so that they do not depend on how a batch is spread over processes.
+         Losses compare colours in the log domain, not light: an error of light on a black surface is not seen.
+         They are means of each image, so that they do not depend on how a batch is spread over processes.
          `Config(scale=2)` is ExtraNet+, the baseline of FASSET (Qin et al.): zeros between the pixels, the network at
          display size, without demodulation because base colour is there at render size alone. Its shaded frames go
          through the same network, with themselves as the newest of the three.
@@ -32,7 +33,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from framecast.color import decode_log, demodulate, encode_log, modulate
+from framecast.color import decode_log, encode_log, modulate
 from framecast.frame import SKY, Frame
 from framecast.methods.reproject import (
     GEOMETRY,
@@ -291,18 +292,20 @@ def _where(fresh: Bool[Tensor, " b"], a: Past, b: Past) -> Past:
 def loss(
     method: ExtraNet, frames: Sequence[Frame], targets: Float[Tensor, "b n 3 H W"]
 ) -> dict[str, Float[Tensor, ""]]:
-    """The three terms, in the log domain of light: everywhere, in holes, and where the error is largest."""
+    """The three terms, in the log domain: everywhere, in holes, and where the error is largest."""
     *shaded, frame = frames
     state = method.start(shaded[0])
     for past in shaded[1:]:
         state = method.remember(past, state)
     inputs = method.prepare(frame, state, steps(frame, state.newest.shows.time, state.newest.shows.jitter))
     target = targets[:, -1]
-    seen = target if method.config.scale > 1 else demodulate(target, surface(frame))
+    seen = method.predict(inputs)
+    if method.config.scale == 1:  # measured with texture: light on black surfaces is bright, and not seen
+        seen = torch.log1p(modulate(torch.expm1(seen), surface(frame)).clamp(min=-0.5))
     hole = 1 - inputs.mask
     if method.config.scale > 1:
         hole = F.interpolate(hole, (target.shape[-2], target.shape[-1]))
-    error = (method.predict(inputs) - encode_log(seen)).abs()
+    error = (seen - encode_log(target)).abs()
     return {"l1": error.mean(), "hole": hole_loss(error, hole), "shade": shading_loss(error)}
 
 
