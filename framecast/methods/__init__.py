@@ -13,11 +13,12 @@ from dataclasses import replace
 
 from torch import nn
 
-from framecast.methods import extranet, nsrr
+from framecast.methods import extranet, mnss, nsrr
 from framecast.methods.blend import Blend
 from framecast.methods.bsr import BSR
 from framecast.methods.extranet import ExtraNet
 from framecast.methods.hold import Hold
+from framecast.methods.mnss import MNSS
 from framecast.methods.mobfgsr import Config as MobFGSRConfig
 from framecast.methods.mobfgsr import MobFGSR
 from framecast.methods.nsrr import NSRR
@@ -44,6 +45,7 @@ TRAINABLE: dict[str, tuple[Callable[[], nn.Module], Recipe]] = {
     "extranet-without-occlusion": (lambda: ExtraNet(extranet.Config(occlusion=False)), extranet.recipe),
     "extranet-without-shading": (ExtraNet, replace(extranet.recipe, loss=extranet.loss_without_shading)),
     "nsrr": (lambda: NSRR(nsrr.FAST), nsrr.recipe),
+    "mnss": (MNSS, mnss.recipe),
 }
 """Networks with random weights, and their recipes. Without history, occlusion and shading are the paper's ablations;
 on occlusion, the output is added to the better of the two warps."""

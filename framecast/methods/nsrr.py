@@ -155,7 +155,8 @@ class NSRR(nn.Module):
         self.reconstruct = Reconstruction(seen + 3 if config.residual else seen, config.widths)
         nn.init.constant_(self.reweight[2].bias, -1.0986)  # type: ignore[arg-type]  # every frame weighs 1
         if config.residual:
-            nn.init.normal_(self.reconstruct.leave.weight, std=1e-3)
+            nn.init.normal_(self.reconstruct.leave.weight, std=1e-3)  # the first image is, nearly, the mean
+            nn.init.zeros_(self.reconstruct.leave.bias)  # type: ignore[arg-type]
 
     def start(self, frame: Frame) -> State:
         """The state before the first frame, which is `frame`: nothing is known."""
@@ -307,4 +308,4 @@ def similarity(image: Float[Tensor, "b 3 H W"], target: Float[Tensor, "b 3 H W"]
         return (light * form).mean()
 
 
-recipe = Recipe(loss=loss, mode="pass", shaded=PAST + 1, crop=(64, 64), batch=4, steps=4000, rate=8e-4, warmup=100)
+recipe = Recipe(loss=loss, mode="pass", shaded=PAST + 1, crop=(64, 64), batch=2, steps=4000, rate=5e-4, warmup=100)

@@ -1,0 +1,219 @@
+"""MNSS: a frame at twice its size from its samples and the last image, by networks small enough for phones.
+
+Paper:   Yang, Zhu, Luo, Guo, Zhou, Guo, Wang, "MNSS: Neural Supersampling Framework for Real-Time Rendering on Mobile
+         Devices", IEEE Transactions on Visualization and Computer Graphics 30(7), 2023,
+         https://doi.org/10.1109/TVCG.2023.3259141
+Follows: the stages of the published text: the last image and its depth reprojected, a network that maps how far they
+         may be trusted and repairs them from the current frame, current samples made smooth with the history around
+         them and put where they were taken, a blending network over the result. The layers are those of variant "B" of
+         the authors' 2021 release: 9,908 parameters, all at display size (185 of them make the map), and one more
+         convolution for the samples, 165.
+Differs: Widths of the published network are not to be had, so those of 2021 stand in for them, at twice the
+         size instead of three times.
+         Any jitter instead of a cycle over the display pixels: a sample covers the pixels around it by their distance.
+         The map is a sigmoid, as in a public reimplementation; in 2021 it was a hyperbolic tangent.
+         The blending network adds to the image that it sees. No enhancement network.
+         History moves with the nearest surface around each pixel and is read from 4 x 4 pixels, which keeps it sharp.
+         Colour is x / (1 + max), for networks under the sRGB curve; the release is not HDR. Nothing is clipped at 1.
+         The loss is 1 - SSIM + 5 L1 of every frame, and 5 L1 of the smooth samples; VGG features are left out.
+Needs:   color, depth, motion
+Modes:   pass
+State:   the last image and its depth, at display size
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from framecast.color import decode_srgb, encode_srgb, tonemap
+from framecast.frame import Frame
+from framecast.methods.nsrr import WHITE, decoded, difference, encoded, nearness, place, positions
+from framecast.methods.reproject import steps
+from framecast.recipe import Recipe
+from framecast.resample import enlarge, enlarged_motion, foreground, lanczos, size_at
+from framecast.warp import inside
+
+TRUST = 2.0
+"""What the map of trust starts from in training, before the sigmoid: 0.88."""
+
+FRESH = 0.8
+"""Weight of a new sample against the history around it, at the start of training."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """The network; the defaults are those of variant "B"."""
+
+    scale: float = 2.0
+    """Output size divided by input size."""
+    inner: int = 16
+    """Channels inside of the blocks."""
+    joint: int = 8
+    """Channels that the first block adds to what the second sees."""
+
+
+@dataclass(frozen=True)
+class State:
+    """The last image."""
+
+    image: Float[Tensor, "b 4 H W"]
+    """Tone-mapped colour, and depth as `nearness` encodes it."""
+    time: Float[Tensor, " b"]
+    known: Bool[Tensor, " b"]
+    """False before the first frame."""
+
+
+torch.export.register_dataclass(State)
+
+
+@dataclass(frozen=True)
+class Made:
+    """What became of a frame."""
+
+    image: Float[Tensor, "b 3 H W"]
+    """Tone-mapped under the sRGB curve."""
+    smooth: Float[Tensor, "b 3 h w"]
+    """The frame's samples, made smooth with the history around them; tone-mapped."""
+    depth: Float[Tensor, "b 1 H W"]
+    """As `nearness` encodes it."""
+
+
+def block(inputs: int, inner: int, outputs: int) -> nn.Sequential:
+    """Three convolutions that see 17 x 17 pixels."""
+    return nn.Sequential(
+        nn.Conv2d(inputs, inner, 3, 1, 2, dilation=2),
+        nn.ReLU(),
+        nn.Conv2d(inner, inner, 3, 1, 5, dilation=5),
+        nn.ReLU(),
+        nn.Conv2d(inner, outputs, 3, 1, 1),
+    )
+
+
+class MNSS(nn.Module):
+    """See the top of this file."""
+
+    needs: tuple[str, ...] = ("color", "depth", "motion")
+    needs_generated: tuple[str, ...] = ()
+    modes: tuple[str, ...] = ("pass",)
+    scales: tuple[float, ...] = (2.0,)
+    parts: tuple[str, ...] = ("make",)
+    history: int | None = None
+    step_motion: bool = False
+
+    def __init__(self, config: Config = Config()) -> None:
+        super().__init__()
+        self.config = config
+        self.trust = nn.Sequential(
+            nn.Conv2d(4, 4, 3, 1, 1, padding_mode="replicate"),
+            nn.ReLU(),
+            nn.Conv2d(4, 1, 3, 1, 1, padding_mode="replicate"),
+        )
+        self.smooth = nn.Conv2d(6, 3, 3, 1, 1, padding_mode="replicate")
+        self.first = nn.Sequential(block(8, config.inner, config.joint), nn.ReLU())
+        self.second = block(8 + config.joint, config.inner, 3)
+        with torch.no_grad():
+            self.trust[2].bias.fill_(TRUST)  # type: ignore[operator]
+            self.smooth.weight.mul_(0.01)
+            nn.init.zeros_(self.smooth.bias)  # type: ignore[arg-type]
+            for c in range(3):
+                self.smooth.weight[c, c, 1, 1] += FRESH
+                self.smooth.weight[c, c + 3, 1, 1] += 1 - FRESH
+            nn.init.normal_(self.second[4].weight, std=1e-3)  # type: ignore[arg-type]
+            nn.init.zeros_(self.second[4].bias)  # type: ignore[arg-type]
+
+    def start(self, frame: Frame) -> State:
+        """The state before the first frame, which is `frame`: nothing is known."""
+        assert frame.depth is not None
+        size = size_at((frame.depth.shape[-2], frame.depth.shape[-1]), self.config.scale)
+        image = frame.depth.new_zeros(frame.depth.shape[0], 4, *size)
+        return State(image, frame.time, torch.zeros_like(frame.reset))
+
+    def forward(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 H W"], State]:
+        """The frame at display size, which is the next state."""
+        made = self.make(frame, state)
+        return decoded(made.image), kept(made, frame)
+
+    def make(self, frame: Frame, state: State) -> Made:
+        """The image and what it was made of."""
+        assert frame.color is not None
+        assert frame.depth is not None
+        small, size = ((x.shape[-2], x.shape[-1]) for x in (frame.depth, state.image))
+        with torch.autocast(frame.depth.device.type, enabled=False):
+            seen = torch.cat((tonemap(frame.color).clamp(max=WHITE), nearness(frame.depth)), 1)
+            current = enlarge(seen, size, frame.jitter, lanczos).image.clamp(0, WHITE)
+            history, known = moved(frame, state, size)
+        trust = torch.sigmoid(self.trust((shown(current) - shown(history)).abs()).float()) * known
+        repaired = current + trust * (history - current)
+        history = at_samples(repaired[:, :3], small, frame.jitter)
+        smooth = self.smooth(torch.cat((seen[:, :3], history), 1)).float()
+        with torch.autocast(frame.depth.device.type, enabled=False):
+            samples = torch.cat((smooth, seen[:, 3:]), 1)
+            values, cover = place(samples, positions(small, size, frame.jitter))
+            canvas = shown(repaired + cover * (values - repaired))
+        both = torch.cat((canvas, shown(current)), 1)
+        added = self.second(torch.cat((both, self.first(both)), 1)).float()
+        return Made(canvas[:, :3] + added, smooth, current[:, 3:])
+
+
+def kept(made: Made, frame: Frame) -> State:
+    """What the next frame sees of an image."""
+    image = decode_srgb(made.image.clamp(0, 1)).clamp(max=WHITE)
+    return State(torch.cat((image, made.depth), 1), frame.time, torch.ones_like(frame.reset))
+
+
+def moved(
+    frame: Frame, state: State, size: tuple[int, int]
+) -> tuple[Float[Tensor, "b 4 H W"], Float[Tensor, "b 1 H W"]]:
+    """The last image where the frame shows its content, and 1 where there was any."""
+    assert frame.depth is not None
+    _, motion = foreground(frame.depth, steps(frame, state.time, frame.jitter))
+    motion = enlarged_motion(motion, size, frame.jitter)
+    known = inside(motion) & (state.known & ~frame.reset)[:, None, None, None]
+    across = torch.tensor([2 / size[1], 2 / size[0]], device=motion.device)
+    grid = centres(size, motion.new_zeros(1, 2)) + motion.movedim(1, -1) * across
+    image = F.grid_sample(state.image, grid, mode="bicubic", padding_mode="border", align_corners=False)
+    return image.clamp(0, WHITE), known.float()
+
+
+def centres(size: tuple[int, int], jitter: Float[Tensor, "b 2"]) -> Float[Tensor, "b h w 2"]:
+    """Where the samples of a frame lie on an image whose sides go from -1 to 1."""
+    x, y = (
+        (torch.arange(n, device=jitter.device) + 0.5 + jitter[:, axis, None]) * (2 / n) - 1
+        for axis, n in ((0, size[1]), (1, size[0]))
+    )
+    return torch.stack((x[:, None].expand(-1, *size), y[:, :, None].expand(-1, *size)), -1)
+
+
+def at_samples(
+    image: Float[Tensor, "b 3 H W"], small: tuple[int, int], jitter: Float[Tensor, "b 2"]
+) -> Float[Tensor, "b 3 h w"]:
+    """A display image at the places where a frame of this size has its samples."""
+    return F.grid_sample(image, centres(small, jitter), padding_mode="border", align_corners=False)
+
+
+def shown(image: Float[Tensor, "b 4 H W"]) -> Float[Tensor, "b 4 H W"]:
+    """What networks see: tone-mapped colour under the sRGB curve, and depth."""
+    return torch.cat((encode_srgb(image[:, :3].clamp(0, WHITE)), image[:, 3:]), 1)
+
+
+# Training.
+
+
+def loss(method: MNSS, frames: Sequence[Frame], targets: Float[Tensor, "b n 3 H W"]) -> dict[str, Float[Tensor, ""]]:
+    """Means over the frames: the two terms of the images, and the error of the samples made smooth."""
+    state, terms = method.start(frames[0]), []
+    for frame, target in zip(frames, targets.unbind(1), strict=True):
+        made = method.make(frame, state)
+        state = kept(made, frame)
+        small = (made.smooth.shape[-2], made.smooth.shape[-1])
+        truth = at_samples(tonemap(target).clamp(max=WHITE), small, frame.jitter)
+        smooth = 5 * (encode_srgb(made.smooth.clamp(0, 1)) - encode_srgb(truth)).abs().mean()
+        terms.append({**difference(made.image, encoded(target)), "smooth": smooth})
+    return {name: torch.stack([each[name] for each in terms]).mean() for name in terms[0]}
+
+
+recipe = Recipe(loss=loss, mode="pass", shaded=6, truths=6, crop=(64, 64), batch=2, steps=2000, rate=1e-3, warmup=50)
