@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from framecast.doctor.motion import Reading, Scene, at_points, margin, resampled, trial
+from framecast.doctor.motion import Scene, at_points, resampled
 from framecast.doctor.probe import POINTS, Pair, fit_shift, misfit, pair_of, pick_points, sample, textured, votes
 from framecast.doctor.take import Take
 from framecast.frame import SKY, Frame, camera_motion
@@ -34,7 +34,7 @@ class Blanks:
     @property
     def found(self) -> bool:
         """Whether a moving camera explains those pixels beyond doubt."""
-        return self.votes >= 3 and self.still > 1.15 * self.moved
+        return self.votes >= 4 and self.still > 1.04 * self.moved
 
 
 def blank(stored: np.ndarray) -> tuple[np.ndarray, float]:
@@ -45,7 +45,7 @@ def blank(stored: np.ndarray) -> tuple[np.ndarray, float]:
     return (same, float(code)) if same.mean() >= EMPTY_SHARE else (np.zeros_like(same), float(code))
 
 
-def blanks_of(take: Take, scene: Scene, depth_sky: np.ndarray | None = None) -> Blanks | None:
+def blanks_of(take: Take, scene: Scene) -> Blanks | None:
     """What becomes of pixels without vectors; None where there are too few of them, or too little texture on them."""
     still, moved, blocks, fields, shares, surfaces, code = [], [], [], [], [], [], 0.0
     for k, before in enumerate(scene.pairs):
@@ -72,13 +72,16 @@ def blanks_of(take: Take, scene: Scene, depth_sky: np.ndarray | None = None) -> 
         zero = np.zeros_like(pair.x)
         shift = fit_shift(pair, zero, zero)
         rest = fit_shift(pair, field[0], field[1])
-        still.append(misfit(pair, zero + shift[0], zero + shift[1]))
-        moved.append(misfit(pair, field[0] + rest[0], field[1] + rest[1]))
-        blocks.append(pair.block + k * 100)
+        apart = np.hypot(field[0] + rest[0] - shift[0], field[1] + rest[1] - shift[1]) > 0.3
+        still.append(misfit(pair, zero + shift[0], zero + shift[1])[apart])
+        moved.append(misfit(pair, field[0] + rest[0], field[1] + rest[1])[apart])
+        blocks.append((pair.block + k * 100)[apart])
         fields.append(everywhere.astype(np.float32))
     if len(still) < max(1, len(scene.pairs) // 2):
         return None
     a, b = np.concatenate(still), np.concatenate(moved)
+    if len(a) < 200:
+        return None
     sure = votes(b, a, np.concatenate(blocks))
     complete = tuple(fields) if len(fields) == len(scene.pairs) else ()
     return Blanks(
@@ -160,21 +163,10 @@ def rough_shift(pair: Pair, reach: int = 24) -> np.ndarray:
         trials = [best + (dx, dy) for dx in offsets for dy in offsets]
         some = slice(None, None, max(1, len(pair.x) // 800))
         errors = [
-            np.minimum(np.abs(pair.value[:, some] - sample(pair.other, pair.x[some] + t[0], pair.y[some] + t[1])), 0.5).mean()
+            np.minimum(
+                np.abs(pair.value[:, some] - sample(pair.other, pair.x[some] + t[0], pair.y[some] + t[1])), 0.5
+            ).mean()
             for t in trials
         ]
         best = np.clip(trials[int(np.argmin(errors))], -reach, reach)
     return best
-
-
-def lacks_camera(take: Take, scene: Scene, reading: Reading, blanks: Blanks) -> bool | None:
-    """Whether written vectors too lack the camera's part (else only some were not written); None: cannot be told."""
-    if not blanks.fields:
-        return None
-    alone = trial(take, scene, reading, None)
-    together = trial(take, replace(scene, base=blanks.fields), reading, None)
-    for better, worse, verdict in ((together, alone, True), (alone, together, False)):
-        ours, theirs, sure = margin(better, worse, scene)
-        if sure >= 2 and theirs > 1.05 * ours:
-            return verdict
-    return None

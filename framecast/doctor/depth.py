@@ -87,7 +87,9 @@ def parallax(take: Take, vectors: Mapping[int, np.ndarray], tangents: Sequence[f
     left: dict[str, list[float]] = {}
     without = []
     for t, field in list(vectors.items())[:6]:
-        raw = resampled(np.nan_to_num(take.stored[t]["depth"][0].astype(np.float64), nan=0, posinf=3e38, neginf=0), take.size)
+        raw = resampled(
+            np.nan_to_num(take.stored[t]["depth"][0].astype(np.float64), nan=0, posinf=3e38, neginf=0), take.size
+        )
         solid = ~resampled(sky_of(take.stored[t]["depth"][0]), take.size)
         places = np.flatnonzero(solid)
         if len(places) < 1000:

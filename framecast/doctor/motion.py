@@ -11,7 +11,18 @@ from itertools import product
 
 import numpy as np
 
-from framecast.doctor.probe import BLOCKS, POINTS, Pair, fit_shift, misfit, pair_of, pick_points, textured, votes
+from framecast.doctor.probe import (
+    BLOCKS,
+    POINTS,
+    Pair,
+    fit_shift,
+    misfit,
+    pair_of,
+    pick_points,
+    sample,
+    textured,
+    votes,
+)
 from framecast.doctor.take import Take
 from framecast.importers.decode import unpack
 from framecast.importers.settings import Motion
@@ -91,7 +102,7 @@ def units(layer: Motion, stored: np.ndarray) -> Iterator[Motion]:
         unreal = replace(bare, bias=(UNREAL_BIAS,) * 2, scale=(UNREAL_SCALE,) * 2, units="ndc")
         yield unreal
         yield replace(unreal, packing="unreal_sqrt")
-        if stored.min() > 0.02:
+        if abs(float(np.median(stored)) - 0.5) < 0.25 and np.quantile(stored, 0.02) > 0.02:
             return
     for factor in FACTORS:
         yield replace(bare, scale=(factor, factor))
@@ -100,17 +111,17 @@ def units(layer: Motion, stored: np.ndarray) -> Iterator[Motion]:
 
 
 def resting(stored: np.ndarray) -> tuple[float, float]:
-    """The code near one half that stands for no motion: of those in use the one that most pixels hold."""
-    usual = np.array([0.5, 127 / 255, 128 / 255, 32767 / 65535, 32768 / 65535])
-    counts = [sum(np.isclose(plane, code, atol=1e-6).sum() for plane in stored) for code in usual]
-    best = float(usual[int(np.argmax(counts))]) if max(counts) else 0.5
+    """The code near one half that stands for no motion: of those in use the one that most pixels hold, else 0.5."""
+    usual = np.array([0.5, 127 / 255, 128 / 255, UNREAL_BIAS, 32768 / 65535])
+    counts = [int((np.abs(stored - code) < 2e-6).sum()) for code in usual]
+    best = float(usual[int(np.argmax(counts))]) if max(counts) > 0.01 * stored.size else 0.5
     return best, best
 
 
-def scene_of(take: Take, name: str = "motion") -> Scene | None:
+def scene_of(take: Take, name: str = "motion", *, written: bool = False) -> Scene | None:
     """Points of up to `PAIRS` pairs spread over the take: half where the vectors differ from the usual one, half
-    anywhere with texture. None where there is no pair with texture."""
-    spread = take.pairs
+    anywhere with texture (`written`: none where they do not differ at all). None where no pair has texture."""
+    spread = [t for t in take.pairs if name in take.stored[t]]
     if len(spread) > PAIRS:
         spread = [spread[round(i * (len(spread) - 1) / (PAIRS - 1))] for i in range(PAIRS)]
     pairs, after, moving, every = [], [], [], []
@@ -121,8 +132,9 @@ def scene_of(take: Take, name: str = "motion") -> Scene | None:
         image = take.images[t].astype(np.float32)
         strength = textured(image)
         lively = restless(stored, take.size)
+        anywhere = lively if written else np.ones_like(lively)
         points = np.union1d(
-            pick_points(strength, lively, POINTS // 2, t), pick_points(strength, np.ones_like(lively), POINTS // 2, t)
+            pick_points(strength, lively, POINTS // 2, t), pick_points(strength, anywhere, POINTS // 2, t + 1)
         )
         if len(points) < 50:
             continue
@@ -183,6 +195,22 @@ Shifts = Mapping[tuple[int, int], tuple[float, float]]
 """Displacement of the whole picture between two frames that is not in the vectors: the difference of the jitters."""
 
 
+def glance(take: Take, scene: Scene, reading: Reading, name: str) -> float:
+    """Error of a reading in a tenth of the points, without shifts: enough to say which readings deserve a look."""
+    errors = []
+    for k, (before, after, moving) in enumerate(zip(scene.pairs, scene.after, scene.moving, strict=True)):
+        pair = after if "next" in reading.motion.direction else before
+        if pair is None or (after is None and any(a is not None for a in scene.after)):
+            continue
+        some = np.flatnonzero(moving)[:: max(1, int(moving.sum()) // 400)]
+        stored = at_points(take.stored[before.here][name], scene.points[k][some], take.size)
+        v = displacement(stored, reading.motion, scene.size, scene.own) * np.float32(take.stretch)
+        v = v + scene.base[k][:, some] if scene.base else v
+        there = sample(pair.other, pair.x[some] + v[0], pair.y[some] + v[1])
+        errors.append(np.minimum(np.abs(pair.value[:, some] - there).mean(0), 1))
+    return float(np.concatenate(errors).mean()) if errors else float("inf")
+
+
 def trial(take: Take, scene: Scene, reading: Reading, shifts: Shifts | None = None, name: str = "motion") -> Trial:
     """How well a reading explains the pairs; `shifts` None: one free shift a pair is fitted."""
     errors, vectors = {}, {}
@@ -201,7 +229,7 @@ def trial(take: Take, scene: Scene, reading: Reading, shifts: Shifts | None = No
 def vectors_of(take: Take, scene: Scene, k: int, reading: Reading, name: str) -> np.ndarray | None:
     """Displacements `2 n` in all points of a pair under a reading; None where the file would lie outside the take."""
     source = scene.pairs[k].here - reading.offset
-    if not 0 <= source < len(take.stored):
+    if not 0 <= source < len(take.stored) or name not in take.stored[source]:
         return None
     stored = at_points(take.stored[source][name], scene.points[k], take.size)
     v = displacement(stored, reading.motion, scene.size, scene.own) * np.float32(take.stretch)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-POINTS = 6000
+POINTS = 4000
 """Points of one pair of frames."""
 
 BLOCKS = 6

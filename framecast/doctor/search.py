@@ -12,6 +12,7 @@ from framecast.doctor.motion import (
     Shifts,
     Trial,
     at_points,
+    glance,
     margin,
     readings,
     trial,
@@ -27,7 +28,7 @@ SURE = 2.5
 RATIO = 1.03
 """Ratio of errors that makes a difference count."""
 
-FINALISTS = 8
+FINALISTS = 6
 """Readings that are compared again once the shaking of the picture is known."""
 
 
@@ -89,14 +90,14 @@ def search(take: Take, scene: Scene, claim: Motion, name: str = "motion") -> Ans
         1,
     )
     rivals = [Reading(m) for m in readings(claim, sampled)]
-    first = sorted((trial(take, scene, r, {}, name) for r in rivals), key=lambda t: t.mean)
+    rivals.sort(key=lambda r: glance(take, scene, r, name))
     still = Reading(replace(claim, scale=(1e-12, 1e-12)))
     ours = Reading(claim)
-    finalists = [*(t.reading for t in first[:FINALISTS]), ours]
-    second = [trial(take, scene, r, None, name) for r in finalists]
-    leader = min(second, key=lambda t: t.mean)
-    if min(t.mean for t in first) < 1.05 * leader.mean:
-        leader = first[0]
+    finalists = [*rivals[:FINALISTS], ours]
+    fixed = min((trial(take, scene, r, {}, name) for r in finalists), key=lambda t: t.mean)
+    leader = min((trial(take, scene, r, None, name) for r in finalists), key=lambda t: t.mean)
+    if fixed.mean < 1.05 * leader.mean:
+        leader = fixed
     shake = measure_shake(take, scene, leader.reading, name)
     shifts = shifts_of(take, shake)
     final = [trial(take, scene, r, shifts, name) for r in finalists]

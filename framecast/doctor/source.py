@@ -18,7 +18,18 @@ from framecast.importers.blender import open_shot, ranges
 from framecast.importers.decode import decode_jitter
 from framecast.importers.folder import Found, Listing, open_folder
 from framecast.importers.passes import Pass, passes
-from framecast.importers.settings import NAME, Color, Depth, Layer, Motion, Normal, Scalar, Settings, layers, read_settings
+from framecast.importers.settings import (
+    NAME,
+    Color,
+    Depth,
+    Layer,
+    Motion,
+    Normal,
+    Scalar,
+    Settings,
+    layers,
+    read_settings,
+)
 
 KINDS: dict[str, type[Layer]] = {
     "color": Color, "albedo": Color, "depth": Depth, "motion": Motion, "motion_next": Motion, "normal": Normal,
@@ -112,7 +123,9 @@ def _of_clip(listing: Listing) -> Source:
     if "motion_next" in told:
         told["motion_next"] = replace(told["motion_next"], direction="current->next")
     if "color" not in told:
-        raise ClipError(f"{listing.folder} has no frame with colour; the doctor compares pictures, give a clip that has some")
+        raise ClipError(
+            f"{listing.folder} has no frame with colour; the doctor compares pictures, give a clip that has some"
+        )
     return _source(
         listing, "clip", Settings(source="generic", fps=clip.fps, span=clip.span, **told), clip.records,
         remarks=(), span=clip.span,
@@ -158,7 +171,9 @@ def _unknown(listing: Listing, held: Sequence[Pass]) -> Source:
     found |= _by_content(listing, held, found)
     if "color" not in found:
         what = images.short(sorted({p.label.strip("/") or "RGB" for p in held}))
-        raise ClipError(f"{listing.folder} has no colour that can be told from its other layers (it has {what}); export the beauty pass")
+        raise ClipError(
+            f"{listing.folder} has no colour that can be told from its other layers (it has {what}); export the beauty pass"
+        )
     return _source(listing, "unknown", _claimed(found), ())
 
 
@@ -241,14 +256,25 @@ def _source(
     by_number = {r.number: r for r in records}
     made = tuple(by_number.get(n) or _plain_record(n, i, numbers, claim, listing) for i, n in enumerate(numbers))
     return Source(
-        listing.folder, kind, claim, files, bits, numbers, made, _known(made, claim), tuple(dict.fromkeys(remarks)), span
+        listing.folder,
+        kind,
+        claim,
+        files,
+        bits,
+        numbers,
+        made,
+        _known(made, claim),
+        tuple(dict.fromkeys(remarks)),
+        span,
     )
 
 
 def _plain_record(number: int, index: int, numbers: Sequence[int], claim: Settings, listing: Listing) -> Record:
     jitter = (0.0, 0.0)
     if claim.jitter.values or claim.jitter.halton:
-        size = images.about(listing.folder / next(iter(listing.numbered(layers(claim)["color"].files[0]).values()))).size
+        size = images.about(
+            listing.folder / next(iter(listing.numbered(layers(claim)["color"].files[0]).values()))
+        ).size
         jitter = decode_jitter(claim.jitter, index, size)
     return Record(number=number, time=float(number - numbers[0]), jitter=jitter)
 

@@ -14,15 +14,15 @@ SIGNS = tuple(product((1.0, -1.0), repeat=3))
 
 @dataclass(frozen=True)
 class Normals:
-    """How well stored normals agree with the slopes of depth: mean cosine for each space and each sign of the axes."""
+    """How far stored normals are from the slopes of depth: mean angle in degrees for each space and sign of the axes."""
 
     encoded: bool
     plain_share: float
     encoded_share: float
     """Share of the pixels that hold a unit vector as they are, and as n / 2 + 1/2."""
-    agreement: Mapping[tuple[str, tuple[float, float, float]], float]
+    angles: Mapping[tuple[str, tuple[float, float, float]], float]
     free: Mapping[str, float]
-    """The same for any rotation of the world, `proper` and `mirrored`, where the cameras are not known."""
+    """Mean cosine after the best rotation of the world: `proper`, and `mirrored`, with one axis turned around."""
     turning: float
     """Degrees by which the cameras are turned against the world: without it world and view are the same."""
     count: int
@@ -63,7 +63,7 @@ def normals_of(take: Take, depths: Mapping[int, np.ndarray], tangent: float) -> 
         for space, turn in turns.items():
             expected = slopes @ turn  # rows: world = view rotation transposed times camera
             for sign in SIGNS:
-                scores.setdefault((space, sign), []).append(float(np.median((n * sign * expected).sum(1))))
+                scores.setdefault((space, sign), []).append(angle(n * sign, expected))
         if view is not None:
             turning.append(float(np.degrees(np.arccos(np.clip((np.trace(turns["world"]) - 1) / 2, -1, 1)))))
         for name, agreement in zip(free, rotations(slopes, n), strict=True):
@@ -75,6 +75,12 @@ def normals_of(take: Take, depths: Mapping[int, np.ndarray], tangent: float) -> 
         encoded, float(plain_share), float(encoded_share), mean, {k: float(np.mean(v)) for k, v in free.items()},
         float(np.mean(turning)) if turning else 0.0, count,
     )  # fmt: skip
+
+
+def angle(a: np.ndarray, b: np.ndarray) -> float:
+    """Mean angle in degrees between unit vectors `n 3`; the worst tenth (normal maps, edges) is left out."""
+    degrees = np.degrees(np.arccos(np.clip((a * b).sum(1), -1, 1)))
+    return float(np.sort(degrees)[: max(1, int(0.9 * len(degrees)))].mean())
 
 
 def facets(z: np.ndarray, solid: np.ndarray, tangent: float) -> tuple[np.ndarray, np.ndarray]:
@@ -114,8 +120,8 @@ class Tone:
     """Whether colour looks linear."""
 
     slope: float | None
-    """Change of log colour over that of log albedo, across edges of albedo alone: 1 for linear light, near 1/2 for
-    display values. None where albedo or such edges are lacking."""
+    """Change of log colour over that of log albedo, across edges of albedo alone, upper quartile (highlights and haze
+    lower it): about 1 for linear light, at most 1/2 for display values. None where such edges are lacking."""
     edges: int
     peak: float
     """Largest number."""
@@ -136,7 +142,7 @@ def tone_of(take: Take) -> Tone | None:
     clipped = float((values.max(0) > peak * 0.998).mean()) if 0.9 < peak < 1.02 else 0.0
     ratios = [albedo_edges(take, t) for t in take.full("color", "albedo")]
     joined = np.concatenate(ratios) if ratios else np.zeros(0)
-    slope = float(np.median(joined)) if len(joined) >= 200 else None
+    slope = float(np.quantile(joined, 0.75)) if len(joined) >= 200 else None
     return Tone(slope, len(joined), peak, clipped, float(np.median(values)))
 
 
@@ -149,15 +155,19 @@ def albedo_edges(take: Take, t: int) -> np.ndarray:
         return np.zeros(0)
     out = []
     for axis in (1, 2):
-        far = lambda a, axis=axis: np.log(a.take(range(3, a.shape[axis]), axis)) - np.log(a.take(range(a.shape[axis] - 3), axis))  # noqa: E731, E501
-        jump, change = far(albedo), far(color)
-        low = np.minimum(albedo.take(range(3, albedo.shape[axis]), axis), albedo.take(range(albedo.shape[axis] - 3), axis))
-        use = (np.abs(jump) > 0.35) & (low > 0.02)
+        (a, b), (c, d) = apart(albedo, axis), apart(color, axis)
+        jump, change, low = np.log(a / b), np.log(c / d), np.minimum(a, b)
+        use = (np.abs(jump) > 0.35) & (low > 0.1)
         for name, most in (("depth", 0.02), ("normal", 0.05)):
             if name in stored and stored[name].shape[1:] == color.shape[1:]:
-                plane = np.nan_to_num(stored[name].astype(np.float64), posinf=1e9)
-                a, b = (plane.take(range(s, plane.shape[axis] - 3 + s), axis) for s in (3, 0))
+                a, b = apart(np.nan_to_num(stored[name].astype(np.float64), posinf=1e9), axis)
                 size = 1.0 if name == "normal" else np.maximum(np.abs(b), 1e-9)
                 use &= (np.abs(a - b) / size).max(0) < most
         out.append((change / np.where(use, jump, 1))[use])
     return np.concatenate(out)
+
+
+def apart(plane: np.ndarray, axis: int, step: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    """Values `step` pixels further along an axis, and the values here."""
+    count = plane.shape[axis] - step
+    return plane.take(range(step, count + step), axis), plane.take(range(count), axis)

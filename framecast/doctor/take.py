@@ -115,7 +115,10 @@ def load(source: Source) -> Take:
     numbers = [source.numbers[p] for p in positions]
     records = [source.records[p] for p in positions]
     step = min(b - a for a, b in pairwise(source.numbers))
-    joined = (False, *(b - a == step and not there.cut for (a, b), there in zip(pairwise(numbers), records[1:], strict=True)))
+    joined = (
+        False,
+        *(b - a == step and not there.cut for (a, b), there in zip(pairwise(numbers), records[1:], strict=True)),
+    )
     gap = abs(source.records[1].time - source.records[0].time) or 1.0
     return Take(
         tuple(numbers), stored, kept, records, source.recorded, joined, gap / source.span if source.span else 1.0,

@@ -1,0 +1,225 @@
+"""All experiments on one folder, in the order in which each builds on the last."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from framecast.doctor.camera import sky_of
+from framecast.doctor.edges import edges_of, grain_of, solid_depths
+from framecast.doctor.jitter import Match
+from framecast.doctor.motion import displacement, resampled
+from framecast.doctor.report import Finding, Report
+from framecast.doctor.say_depth import tangents_of, tell_depth
+from framecast.doctor.say_jitter import tell_jitter
+from framecast.doctor.say_motion import RECORD, Told, fields_of, tell_motion
+from framecast.doctor.say_rest import (
+    tell_color,
+    tell_edges,
+    tell_exposure,
+    tell_normals,
+    tell_odd,
+    tell_offset,
+    tell_padding,
+    tell_time,
+)
+from framecast.doctor.search import Shake, measured_scale
+from framecast.doctor.source import Source, open_source
+from framecast.doctor.surface import normals_of, tone_of
+from framecast.doctor.take import Take, load
+from framecast.doctor.timeline import exposure_of, steps_of
+from framecast.exr import ClipError
+from framecast.importers.decode import decode_depth
+from framecast.importers.settings import Depth, Motion, Settings
+
+
+@dataclass(frozen=True)
+class Examined:
+    """A report, and what its picture is made from."""
+
+    report: Report
+    take: Take
+    told: Told
+    claim: Settings
+
+
+def examine(folder: Path | str) -> Examined:
+    """Everything that can be found out about a folder.
+
+    Raises:
+        FileNotFoundError: no such folder. ClipError: it cannot be examined at all; the message says why.
+    """
+    source = open_source(folder)
+    take = load(source)
+    findings = [*_files(source, take)]
+    padded, crop = tell_padding(take)
+    findings += padded
+    if crop is not None:
+        source, take = _cropped(source, take, crop)
+    settings = source.claim if crop is None else replace(source.claim, crop=crop)
+    told, late, offset = _vectors(take, settings.motion)
+    findings += [*told.findings, *late]
+    fields = fields_of(take, told, _some(take))
+    shake = told.answer.shake if told.answer and told.motion else Shake((), np.zeros((0, 2)), None, None)
+    jittered = False
+    if told.answer is not None and told.motion is not None and len(shake.measured) >= 2:
+        every = fields_of(take, told, take.pairs)
+        said, jitter, jittered = tell_jitter(take, shake, every, settings.jitter)
+        findings += said
+        settings = replace(settings, jitter=jitter)
+        findings += tell_odd(take, every, told.answer.shifts)
+    if told.motion is not None and settings.motion is not None:
+        settings = replace(
+            settings, motion=replace(told.motion, offset=settings.motion.offset + offset, jittered=jittered)
+        )
+    settings, said = _surfaces(source, take, settings, _unshaken(take, fields, jittered))
+    findings += said
+    settings, said = _light(source, take, settings, told)
+    findings += said
+    report = Report(
+        str(source.path), source.kind if source.kind != "unknown" else "a folder of unknown origin", take.numbers,
+        len(source.numbers), (take.size[1], take.size[0]), tuple(findings), settings,
+    )  # fmt: skip
+    return Examined(report, take, told, source.claim)
+
+
+def _files(source: Source, take: Take) -> list[Finding]:
+    """What is wrong with the files themselves."""
+    out = [Finding("frames.files", "fix", remark) for remark in source.remarks]
+    for name, bad in take.blemishes.items():
+        says = f"{name} holds {bad} NaN or infinite numbers in the frames looked at; render those frames again, or import with --repair"
+        out.append(Finding(f"{name}.nan", "fix", says))
+    return out
+
+
+def _cropped(source: Source, take: Take, crop: tuple[int, int]) -> tuple[Source, Take]:
+    """Everything without padding."""
+    width, height = crop
+    full = take.size
+    cut = lambda a: a[:, :height, :width] if a.shape[1:] == full else a  # noqa: E731
+    stored = [{name: cut(pixels) for name, pixels in planes.items()} for planes in take.stored]
+    return source, replace(take, stored=stored, images=[cut(image) for image in take.images])
+
+
+def _some(take: Take, most: int = 6) -> list[int]:
+    pairs = take.pairs
+    return pairs[:: max(1, len(pairs) // most)][:most]
+
+
+def _vectors(take: Take, claim: Motion | None) -> tuple[Told, list[Finding], int]:
+    """Vectors; where those of another frame are stored, they are moved first. Returns also by how many frames."""
+    if claim is None or not any("motion" in take.stored[t] for t in take.pairs):
+        says = (
+            f"there are no vectors; switch the vector (motion) pass on, or name the layer motion. {RECORD.capitalize()}"
+        )
+        return Told((Finding("motion.absent", "fix", says),), None), [], 0
+    found, offset = tell_offset(take, 0)
+    if offset:
+        empty: Mapping[str, np.ndarray] = {}
+        moved = []
+        for t, planes in enumerate(take.stored):
+            other = take.stored[t - offset] if 0 <= t - offset < len(take.stored) else empty
+            kept = {name: pixels for name, pixels in planes.items() if name != "motion"}
+            moved.append(kept | ({"motion": other["motion"]} if "motion" in other else {}))
+        joined = tuple(j and "motion" in m for j, m in zip(take.joined, moved, strict=True))
+        told = tell_motion(replace(take, stored=moved, joined=joined), claim)
+        answer = told.answer
+        if answer is not None:
+            best = replace(answer.best, reading=replace(answer.best.reading, offset=offset))
+            told = replace(told, answer=replace(answer, best=best))
+        return told, found, offset
+    return tell_motion(take, claim), [], 0
+
+
+def _unshaken(take: Take, fields: Mapping[int, np.ndarray], jittered: bool) -> dict[int, np.ndarray]:
+    """Vectors without the jitter that they may hold (where it is recorded)."""
+    if not jittered:
+        return dict(fields)
+    out = {}
+    for t, field in fields.items():
+        step = np.array(take.records[t].jitter) - np.array(take.records[t - 1].jitter)
+        out[t] = field - step[:, None, None].astype(np.float32)
+    return out
+
+
+def _surfaces(
+    source: Source, take: Take, settings: Settings, fields: Mapping[int, np.ndarray]
+) -> tuple[Settings, list[Finding]]:
+    """Depth, normals, silhouettes."""
+    findings: list[Finding] = []
+    if settings.depth is None or not take.full("depth"):
+        return settings, findings
+    said, depth = tell_depth(
+        take, settings.depth, {t: f for t, f in fields.items() if "depth" in take.stored[t]}, source.bits["depth"]
+    )
+    findings += said
+    if depth is not None:
+        settings = replace(settings, depth=depth)
+    distances = _distances(take, depth or settings.depth)
+    if settings.normal is not None and distances:
+        tangents = tangents_of(take)
+        normals = normals_of(take, distances, tangents[0] if len(tangents) == 1 else 0.45)
+        said, normal = tell_normals(normals, settings.normal)
+        findings += said
+        settings = replace(settings, normal=normal or settings.normal)
+    if fields and settings.motion is not None:
+        near = {t: resampled(z, take.size) for t, z in solid_depths(take, distances).items()}
+        own = next(take.stored[t]["motion"].shape[1:] for t in take.pairs if "motion" in take.stored[t])
+        units = (
+            displacement(
+                np.ones((len(settings.motion.channels), 1), np.float32),
+                replace(settings.motion, bias=(0.0, 0.0), packing="none"),
+                take.size,
+                own,
+            )
+            if settings.motion.packing == "none"
+            else np.zeros((2, 1))
+        )
+        packed = settings.motion.packing in ("base255", "base256")
+        grain = grain_of(take, float(np.abs(units).max()), 32 if packed else source.bits["motion"])
+        blender = source.kind == "blender" or "Blender" in str(_provenance(source))
+        findings += tell_edges(edges_of(take, {t: f for t, f in fields.items() if t in near}, near), grain, blender)
+    return settings, findings
+
+
+def _provenance(source: Source) -> object:
+    import json
+
+    path = source.path / "clip.json"
+    return json.loads(path.read_text()).get("provenance", {}) if path.is_file() else {}
+
+
+def _distances(take: Take, depth: Depth) -> dict[int, np.ndarray]:
+    """Distance along the view axis `h w` in some frames."""
+    out = {}
+    frames = sorted({*take.full("depth", "normal"), *_some(take)})
+    for t in frames:
+        if "depth" not in take.stored[t]:
+            continue
+        stored = take.stored[t]["depth"].astype(np.float32)
+        try:
+            z = decode_depth(stored, depth, take.records[t].projection)[0]
+        except ClipError:
+            z = stored[0]
+        out[t] = np.where(sky_of(take.stored[t]["depth"][0]), z.max(), z)
+    return out
+
+
+def _light(source: Source, take: Take, settings: Settings, told: Told) -> tuple[Settings, list[Finding]]:
+    """Colour, exposure, cuts."""
+    assert settings.color is not None
+    said, color = tell_color(tone_of(take), settings.color, source.bits["color"])
+    if told.answer is None:
+        return replace(settings, color=color), said
+    answer = told.answer
+    steps = steps_of(take, answer.best.reading, answer.shifts)
+    exposure = exposure_of(take, steps)
+    more, factors = tell_exposure(exposure, len(take.numbers))
+    if factors is not None and len(take.numbers) == len(source.numbers):
+        color = replace(color, exposure=factors)
+    scales = measured_scale(take, answer.scene, answer.best, answer.shifts) if told.motion is not None else {}
+    return replace(settings, color=color), [*said, *more, *tell_time(take, steps, scales)]
+
+
+__all__ = ["Examined", "Match", "examine"]

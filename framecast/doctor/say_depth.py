@@ -1,0 +1,209 @@
+"""Verdicts about depth: its kind by planarity and parallax, near or far, and the unit by the recorded cameras."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from framecast.doctor.camera import sky_of
+from framecast.doctor.depth import VIEWS, Law, family, parallax, planarity
+from framecast.doctor.motion import resampled
+from framecast.doctor.report import Finding
+from framecast.doctor.take import Take
+from framecast.exr import ClipError
+from framecast.frame import SKY
+from framecast.importers.decode import decode_depth
+from framecast.importers.settings import Depth
+
+
+def tangents_of(take: Take) -> list[float]:
+    """Tangent of half the vertical field of view where the lens is recorded, else some usual ones."""
+    projection = take.records[0].projection
+    if projection is not None and projection[1][1] != 0 and projection[3][3] == 0:
+        return [1 / abs(projection[1][1])]
+    return [float(np.tan(np.radians(view) / 2)) for view in VIEWS]
+
+
+def tell_depth(
+    take: Take, claim: Depth, fields: Mapping[int, np.ndarray], bits: int
+) -> tuple[list[Finding], Depth | None]:
+    """Findings, and how to read depth; None where that cannot be told."""
+    frames = take.full("depth")
+    values = np.concatenate([take.stored[t]["depth"][0].astype(np.float64).ravel()[::11] for t in frames[:4]])
+    values = values[np.isfinite(values)]
+    if len(values) == 0 or np.ptp(values) == 0:
+        held = f"{values[0]:g} everywhere" if len(values) else "no number"
+        return [Finding("depth.empty", "fix", f"depth holds {held}; switch the depth pass on")], None
+    steps = len(np.unique(np.concatenate([np.unique(take.stored[t]["depth"][0]) for t in frames[:2]])))
+    if bits == 8 or steps <= 256:
+        says = f"depth has {steps} different values, as 8 bits do: too coarse to find what hides what; export 16 or 32 bits (EXR)"
+        return [Finding("depth.bits", "fix", says)], None
+    kind, law, name, value = kind_of(take, claim, fields)
+    if kind is None:
+        says = "what depth means cannot be told: no plane is in sight and the camera does not move sideways; record a camera that walks"
+        return [Finding("depth.open", "unknown", says)], None
+    found, scaled = parameters(take, claim, kind, fields, values)
+    out = []
+    claimed = claim.kind
+    if found.kind != claimed and not _alike(found.kind, claimed, values):
+        ours, theirs = law.misfits[value], law.misfits.get(_name(claimed, law), float("nan"))
+        unit = "of the slope that planes bend" if name == "planarity" else "pixels that the camera's motion leaves over"
+        says = f"depth is {worded(found.kind)}, not {worded(claimed)}: {unit} fall from {theirs:.4f} to {ours:.4f}"
+        out.append(Finding("depth.kind", "fix", says, theirs, ours))
+    elif scaled is not None and not 0.8 < scaled < 1.25:
+        says = (
+            f"depth and cameras have different units: depth times {scaled:.3g} is what the camera's motion asks for"
+            f"{' (metres and centimetres?)' if 60 < max(scaled, 1 / scaled) < 160 else ''}"
+        )
+        out.append(Finding("depth.scale", "fix", says))
+    else:
+        out.append(
+            Finding(
+                "depth",
+                "fine",
+                f"depth: {worded(claimed)}, as claimed ({name}: misfit {law.misfits[value]:.4f}, next kind {_next(law, value):.4f})",
+            )
+        )
+    return out, found
+
+
+def worded(kind: str) -> str:
+    """A kind in words."""
+    return {
+        "planar": "distance along the view axis", "euclidean": "distance along the ray (from the camera's centre)",
+        "device": "device depth, 0 near and 1 far", "reversed": "reversed device depth, 1 near and 0 far",
+        "inverse": "inverse distance", "unit": "distance scaled to 0..1",
+    }[kind]  # fmt: skip
+
+
+def _alike(found: str, claimed: str, values: np.ndarray) -> bool:
+    """Kinds between which no experiment can choose without knowing the unit."""
+    return {found, claimed} <= {"reversed", "inverse"} and values.max() <= 1.0
+
+
+def _name(kind: str, law: Law) -> str:
+    """The candidate that stands for a kind in a law."""
+    if kind == "euclidean":
+        return min((k for k in law.misfits if k.startswith("euclidean")), key=law.misfits.__getitem__)
+    return {"unit": "planar"}.get(kind, family(kind))
+
+
+def _next(law: Law, value: str) -> float:
+    group = value.split(" ")[0]
+    return min((m for k, m in law.misfits.items() if k.split(" ")[0] != group), default=float("inf"))
+
+
+def kind_of(take: Take, claim: Depth, fields: Mapping[int, np.ndarray]) -> tuple[str | None, Law, str, str]:
+    """The candidate that obeys one of the laws clearly better than the others: parallax where the camera moves."""
+    tangents = tangents_of(take)
+    if fields:
+        law, flat = parallax(take, fields, tangents)
+        if law.misfits and flat > 0.01:
+            best = _preferred(law, claim)
+            if flat > 2.5 * law.misfits[best] and _next(law, best) > 1.6 * law.misfits[best]:
+                return best.split(" ")[0], law, "parallax", best
+    law = planarity(take, tangents)
+    if law.weight >= 500:
+        best = _preferred(law, claim)
+        if law.misfits[best] < 0.01 and _next(law, best) > 2.5 * law.misfits[best] + 1e-4:
+            return best.split(" ")[0], law, "planarity", best
+    return None, law, "", ""
+
+
+def _preferred(law: Law, claim: Depth) -> str:
+    """The candidate of the least misfit, the claimed one where it is as good."""
+    best = min(law.misfits, key=law.misfits.__getitem__)
+    claimed = _name(claim.kind, law)
+    return claimed if law.misfits[claimed] < 1.2 * law.misfits[best] + 1e-5 else best
+
+
+def parameters(
+    take: Take, claim: Depth, group: str, fields: Mapping[int, np.ndarray], values: np.ndarray
+) -> tuple[Depth, float | None]:
+    """Kind, near and far within a group, and what depth has to be taken times to fit the recorded cameras."""
+    bare = replace(claim, kind="planar", near=0.0, far=None, scale=1.0, bias=0.0)
+    near = _near(take)
+    if group == "inverse":
+        top = float(values.max())
+        if top > 1.0001:
+            return replace(bare, kind="inverse"), None
+        kind = "device" if float(np.median(values)) > 0.5 else "reversed"
+        if family(claim.kind) == "inverse" and claim.kind != "inverse" and claim.kind == kind:
+            return claim, None
+        return replace(
+            bare,
+            kind="device" if kind == "device" else "reversed",
+            near=near,
+            far=_far(take) if kind == "device" else None,
+        ), None
+    if group == "euclidean":
+        found = replace(bare, kind="euclidean")
+        return found, fitted_scale(take, found, fields)
+    found = claim if claim.kind in ("planar", "unit") else bare
+    scaled = fitted_scale(take, found, fields)
+    looks_unit = claim.kind == "planar" and values.max() <= 1.0 + 1e-6 and values.min() >= 0
+    if looks_unit and (scaled is None or not 0.8 < scaled < 1.25):
+        far = float(scaled) if scaled is not None else 1000.0
+        return replace(bare, kind="unit", far=far), scaled
+    if scaled is not None and not 0.8 < scaled < 1.25:
+        return replace(found, scale=found.scale * scaled), scaled
+    return found, scaled
+
+
+def _near(take: Take) -> float:
+    """Distance of the near plane by the recorded projection (clip z in 0..1), else a tenth."""
+    p = take.records[0].projection
+    if p is None:
+        return 0.1
+    near = p[2][3] if abs(p[2][2]) < 1e-3 else p[2][3] / p[2][2]
+    return abs(near) if 1e-6 < abs(near) < 1e6 else 0.1
+
+
+def _far(take: Take) -> float | None:
+    p = take.records[0].projection
+    if p is None or abs(p[2][2]) < 1e-3 or abs(p[2][2] + 1) < 1e-6:
+        return None
+    return abs(p[2][3] / (p[2][2] + 1))
+
+
+def fitted_scale(take: Take, depth: Depth, fields: Mapping[int, np.ndarray]) -> float | None:
+    """The factor on depth with which the recorded cameras cause the vectors; None where they say nothing about it."""
+    if "cameras" not in take.recorded or take.stretch != 1.0:
+        return None
+    votes = []
+    for t, field in list(fields.items())[:5]:
+        if not take.joined[t]:
+            continue
+        try:
+            z = decode_depth(take.stored[t]["depth"].astype(np.float32), depth, take.records[t].projection)[0]
+        except ClipError:
+            return None
+        sky = resampled(sky_of(take.stored[t]["depth"][0]) | (z >= SKY), take.size)
+        places = np.flatnonzero(~sky)
+        if len(places) < 0.05 * sky.size:
+            continue
+        places = np.random.default_rng(t).choice(places, min(len(places), 1500), replace=False)
+        near, v = resampled(z, take.size).ravel()[places].astype(np.float64), field.reshape(2, -1)[:, places]
+        misfit = lambda s: _camera_misfit(take, t, places, near * s, v)  # noqa: B023, E731
+        errors = {float(s): misfit(s) for s in np.geomspace(1e-4, 1e4, 97)}
+        best = min(errors, key=errors.__getitem__)
+        beyond = max(min(errors[s] for s in errors if s > 30 * best or s < best / 30) if len(errors) > 2 else 0.0, 0.0)
+        if beyond > 3 * errors[best] + 0.02:
+            votes.append(float(min(best * np.geomspace(0.8, 1.25, 19), key=misfit)))
+    return float(np.median(votes)) if len(votes) >= 2 or (votes and len(fields) < 3) else None
+
+
+def _camera_misfit(take: Take, t: int, places: np.ndarray, z: np.ndarray, v: np.ndarray) -> float:
+    """Median distance in pixels between vectors `2 n` and what the cameras cause at pixels of these distances."""
+    (height, width), here, there = take.size, take.records[t], take.records[t - 1]
+    p, q = np.array(here.projection), np.array(there.projection)
+    x, y = places % width + 0.5, places // width + 0.5
+    w = -p[3, 2] * z + p[3, 3]
+    camera = np.stack([
+        ((2 * x / width - 1) * w + p[0, 2] * z - p[0, 3]) / p[0, 0],
+        ((1 - 2 * y / height) * w + p[1, 2] * z - p[1, 3]) / p[1, 1], -z, np.ones_like(z),
+    ])  # fmt: skip
+    clip = q @ np.array(there.view) @ np.linalg.inv(np.array(here.view)) @ camera
+    w = np.where(np.abs(clip[3]) < 1e-8, 1e-8, clip[3])
+    moved = np.stack([(clip[0] / w + 1) * width / 2 - x, (1 - clip[1] / w) * height / 2 - y])
+    return float(np.median(np.abs(moved - v).max(0)))
