@@ -13,9 +13,11 @@ from tyro.conf import arg
 
 from framecast.clip import Clip, open_clip
 from framecast.color import to_display
+from framecast.evaluate import Settings, evaluate, labels, made_from
 from framecast.exr import whole
 from framecast.fit import method_named
 from framecast.metrics import psnr
+from framecast.report import report
 from framecast.runtime import schedule, stream
 from framecast.upsample import encode
 
@@ -32,10 +34,11 @@ Panel = tuple[str, Float[Tensor, "1 3 h w"]]
 def demo(out: Out = Path("demo-out"), clip: Path = HARBOUR, method: str = "mobfgsr") -> None:
     """Double the frame rate of the clip that ships with framecast, and compare with the frames that were hidden.
 
-    Writes a film (every second frame held, beside the doubled rate) and a picture of one frame, and prints PSNR.
+    Writes a film (every second frame held, beside the doubled rate), a picture of one frame and a report to look into,
+    and prints PSNR.
 
     Args:
-        out: folder for the film and the picture; files of an earlier demo are replaced.
+        out: folder for the film, the picture and the report; files of an earlier demo are replaced.
         clip: another clip with all of its frames.
         method: how the hidden frames are made.
     """
@@ -51,7 +54,8 @@ def demo(out: Out = Path("demo-out"), clip: Path = HARBOUR, method: str = "mobfg
         print(f"{t + 1:12} {row[0]:6.2f} {row[1]:7.2f} {row[2]:11.2f}")
     held, mixed, ours = np.mean(scores, axis=0)
     print(f"{'mean':>12} {held:6.2f} {mixed:7.2f} {ours:11.2f}")
-    print(f"\n{picture(out, full, made)}\n{film(out, full, made)}")
+    print(f"\n{picture(out, full, made)}\n{film(out, full, made)}", flush=True)
+    print(f"{compared(out, full, method)}: open it in a browser")
     print(
         f"framecast: {len(hidden)} frames made from their neighbours, "
         f"{ours - held:.1f} dB closer to the hidden ones than the last frame held"
@@ -110,6 +114,15 @@ def film(out: Path, full: Clip, made: dict[int, Tensor]) -> Path:
     for t in range(len(full)):
         (folder / f"{t:04d}.png").unlink()
     folder.rmdir()
+    return path
+
+
+def compared(out: Path, full: Clip, method: str) -> Path:
+    """The report of the three guesses, with the numbers that they are measured by."""
+    names, settings = list(dict.fromkeys(("hold", "blend", method))), Settings(metrics=("psnr", "ssim", "flicker"))
+    rows, path = evaluate([full], names, "interpolate", settings), out / "report.html"
+    with whole(path) as temporary:
+        temporary.write_text(report(rows, {labels([full])[0]: full}, made_from([full], names, "interpolate", settings)))
     return path
 
 

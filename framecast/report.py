@@ -223,46 +223,47 @@ class Look:
 def looks(clip: Clip, job: Job, name: str, window: Window, images: Images, settings: Settings) -> Iterator[Look]:
     """The images of a method on a clip in display order, those of the window packed."""
     read: Read = lru_cache(maxsize=4)(clip.__getitem__)
+    rest = replace(settings, metrics=tuple(metric for metric in settings.metrics if metric != "flip"))
     before: Shown | None = None
     for output in outputs(clip, method_named(name, job.scale), job.mode, settings, read):
         index = index_at(clip, output.time)
+        role: Role = "generated" if output.generated else "shaded"
         truth = truth_of(clip, index, output, read)
         now = None if truth is None else Shown(index, to_display(output.image), to_display(truth))
-        kept = index in window.frames
-        values, heat = judged(clip, job, now, before, output.generated, kept, settings, read) if now else ({}, None)
+        values: dict[tuple[str, str], float] = {}
+        kept, heat = index in window.frames, None
+        if now is not None and is_judged(clip, now, role, job.mode):
+            values |= compared(clip, now, before, role, job.mode, rest, read)
+            if kept:
+                heat, mean = heat_of(now, window, whole="flip" in settings.metrics)
+                values |= {} if mean is None else {("all", "flip"): mean}
         yield Look(
             index,
-            "generated" if output.generated else "shaded",
+            role,
             images.add(packing.encode(window.cut(output.image))) if kept else None,
             images.add(packing.encode(window.cut(truth))) if kept and truth is not None else None,
-            images.add_map(window.cut(heat)) if heat is not None else None,
+            images.add_map(heat) if heat is not None else None,
             values,
         )
         before = now
 
 
-def judged(
-    clip: Clip,
-    job: Job,
-    now: Shown,
-    before: Shown | None,
-    generated: bool,
-    mapped: bool,
-    settings: Settings,
-    read: Read,
-) -> tuple[dict[tuple[str, str], float], Float[Tensor, "1 1 H W"] | None]:
-    """Values of an image that is compared, and its FLIP map where it is `mapped` and FLIP is measured.
+def is_judged(clip: Clip, now: Shown, role: Role, mode: Mode) -> bool:
+    """Whether an image has values here: a generated one that counts, or a shaded one that the method changed."""
+    return counts(clip, now.index, mode) if role == "generated" else not torch.equal(now.image, now.target)
 
-    Shaded frames that a method left alone have none. FLIP has a value for all pixels only.
+
+def heat_of(now: Shown, window: Window, whole: bool) -> tuple[Float[Tensor, "1 h w"], float | None]:
+    """FLIP map of the window, and its mean over all pixels.
+
+    Made from the whole image where that is asked for, which takes longer; else from the window, and where that is but a
+    part of the image the mean is not known.
     """
-    if not counts(clip, now.index, job.mode) if generated else torch.equal(now.image, now.target):
-        return {}, None
-    rest = replace(settings, metrics=tuple(name for name in settings.metrics if name != "flip"))
-    values = compared(clip, now, before, "generated" if generated else "shaded", job.mode, rest, read)
-    if not mapped or "flip" not in settings.metrics:
-        return values, None
-    heat = flip_map(now.image, now.target)
-    return values | {("all", "flip"): float(heat.mean())}, heat
+    if whole:
+        heat = flip_map(now.image, now.target)
+        return window.cut(heat), float(heat.mean())
+    heat = flip_map(window.cut(now.image)[None], window.cut(now.target)[None])
+    return heat[0], float(heat.mean()) if heat.shape[-2:] == now.image.shape[-2:] else None
 
 
 def truth_of(clip: Clip, index: int, output: Output, read: Read) -> Float[Tensor, "1 3 H W"] | None:

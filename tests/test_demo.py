@@ -23,9 +23,10 @@ def test_the_demo_beats_holding_the_last_frame(tmp_path: Path, capsys: pytest.Ca
     text = capsys.readouterr().out
     held, mixed, ours = (float(v) for v in next(r for r in text.splitlines() if "mean" in r).split()[1:])
     assert ours > mixed + 5 > held + 5
+    assert f"{tmp_path / 'report.html'}: open it in a browser" in text
     with Image.open(tmp_path / "side-by-side.png") as picture:
         assert picture.size == (960, 540)
     with av.open(str(tmp_path / "harbour.mp4")) as film:
         assert film.streams.video[0].average_rate == 24
         assert sum(1 for _ in film.decode(video=0)) == 80
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["harbour.mp4", "side-by-side.png"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["harbour.mp4", "report.html", "side-by-side.png"]

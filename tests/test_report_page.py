@@ -1,6 +1,7 @@
 """The page of the report in a browser: every control does what it says, without an error and without a network."""
 
 import json
+import os
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,6 +25,8 @@ SIZE = (1280, 900)
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     path = next((name for name in BROWSERS if Path(name).is_file()), None)
+    if path is None and os.environ.get("FRAMECAST_NEEDS_CHROMIUM"):
+        pytest.fail("no Chromium, and FRAMECAST_NEEDS_CHROMIUM is set; install it with: apt install chromium")
     if path is None:
         pytest.skip("no Chromium: the report's page is not tested in a browser; install it with: apt install chromium")
     from playwright.sync_api import sync_playwright
