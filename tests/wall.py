@@ -57,7 +57,7 @@ def wall(time: int) -> Layers:
         "albedo": np.full((3, H, W), 0.25),
         "normal": normal,
         "roughness": np.full((1, H, W), 0.5),
-        "metallic": (pattern > 0.5)[None],
+        "metallic": np.full((1, H, W), 0.25),
         "object": (hit[:1] > 0.5) * 3,
     }
     return {name: pixels.astype(np.uint32 if name == "object" else np.float32) for name, pixels in layers.items()}
