@@ -47,7 +47,7 @@ def wall(time: int) -> Layers:
     hit = position[:, None, None] + rays * depth
     matrices = (torch.from_numpy(view(max(time - 1, 0)))[None].float(), perspective(FOV, W / H)[None])
     there, _ = project(torch.from_numpy(hit)[None].float(), *matrices)
-    pattern = 0.5 + 0.2 * np.sin(hit[0] * 6) + 0.2 * np.cos(hit[1] * 5)
+    pattern = 0.5 + 0.2 * np.sin(hit[0] * 3) + 0.2 * np.cos(hit[1] * 2.5)
     normal = np.zeros((3, H, W))
     normal[2] = 1
     layers = {
