@@ -28,7 +28,7 @@ from tyro.conf import Positional
 from framecast import cost, exr
 from framecast.fit import Method, method_named
 from framecast.frame import Frame, moment, perspective, pixel_grid, unshaded
-from framecast.runtime import can_compile, compiled
+from framecast.runtime import can_compile, compiled, inference, placed
 
 VERSION = 1
 """Of the results file."""
@@ -232,7 +232,7 @@ def bench(methods: Sequence[str], baseline: str, settings: Settings = Settings()
 
 def variant(name: str, method: Method, fast: bool, settings: Settings) -> Variant:
     """A method ready to run, nothing compiled yet."""
-    method = method.to(settings.device).eval()
+    method = placed(method, settings.device)
     roles: tuple[Role, ...] = ("shaded", *(role for role in ("interpolate", "extrapolate") if role in method.modes))
     return Variant(name, fast, compiled(method) if fast else method, roles)
 
@@ -258,7 +258,7 @@ def run_clip(v: Variant, frames: Sequence[Frame], settings: Settings) -> Variant
         for i, frame in enumerate(frames):
             for role in v.roles if i else v.roles[:1]:
                 before = graphs()
-                with torch.no_grad():
+                with inference(v.call, settings.device):
                     image, state = v.call(frame if role == "shaded" else request(role, frame, v.call), v.state)
                 v.state = state
                 v.recompilations += graphs() - before if role in seen else 0
@@ -290,7 +290,7 @@ def timed(
 def _milliseconds(v: Variant, frame: Frame) -> float:
     _wait(frame.time.device)
     started = clock.perf_counter()
-    with torch.no_grad():
+    with inference(v.call, frame.time.device):
         v.call(frame, v.state)
     _wait(frame.time.device)
     return (clock.perf_counter() - started) * 1e3
@@ -338,7 +338,7 @@ def first_calls(name: str, settings: Settings) -> dict[Role, float]:
     for role in v.roles:
         frame = frames[0] if role == "shaded" else request(role, frames[1], v.call)
         started = clock.perf_counter()
-        with torch.no_grad():
+        with inference(v.call, settings.device):
             state = v.call(frame, state)[1]
             if role == "shaded":
                 seconds[role] = clock.perf_counter() - started

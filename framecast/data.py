@@ -242,8 +242,8 @@ class Samples(Dataset[Batch]):
         self.starts = [_starts(source.clip, recipe) for source in sources]
         if not any(self.starts):
             raise ClipError(
-                f"none of the {len(sources)} clips holds {max(_places(recipe)) + 1} frames of one shot, which a sample needs; "
-                f"give longer clips"
+                f"none of the {len(sources)} clips holds {max(_places(recipe)) + 1} frames of one shot, which a "
+                f"sample needs; give longer clips"
             )
         for source in sources:
             if scale > 1 and source.clip.scale != scale:
@@ -297,7 +297,7 @@ class Samples(Dataset[Batch]):
 
 
 def _places(recipe: Recipe) -> list[int]:
-    """Frames of a sample in arrival order, counted from its first; odd ones are to be generated unless all are shaded."""
+    """Frames of a sample in arrival order, from its first, 0; odd ones are to be generated unless all are shaded."""
     if recipe.mode == "pass":
         return list(range(recipe.shaded))
     if recipe.mode == "alternate":

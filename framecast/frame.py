@@ -193,7 +193,17 @@ def world_position(
     camera_x = (ndc_x * w + p[:, 0, 2] * depth[:, 0] - p[:, 0, 3]) / p[:, 0, 0]
     camera_y = (ndc_y * w + p[:, 1, 2] * depth[:, 0] - p[:, 1, 3]) / p[:, 1, 1]
     camera = torch.stack((camera_x, camera_y, -depth[:, 0], torch.ones_like(camera_x)), 1)
-    return torch.einsum("bij,bjhw->bihw", torch.linalg.inv(view), camera)[:, :3]
+    return transformed(torch.linalg.inv(view), camera)[:, :3]
+
+
+def transformed(matrix: Float[Tensor, "b 4 4"], points: Float[Tensor, "b 4 h w"]) -> Float[Tensor, "b 4 h w"]:
+    """The matrix times the homogeneous point of every pixel, in full precision.
+
+    Sums in place of a matrix product, which autocast would round to eight bits: far from the origin that is metres.
+    """
+    m = matrix[:, :, :, None, None]
+    rows = [sum((m[:, i, j] * points[:, j] for j in range(1, 4)), m[:, i, 0] * points[:, 0]) for i in range(4)]
+    return torch.stack(rows, 1)
 
 
 def project(
@@ -205,8 +215,8 @@ def project(
     """
     height, width = position.shape[-2:]
     world = torch.cat((position, torch.ones_like(position[:, :1])), 1)
-    camera = torch.einsum("bij,bjhw->bihw", view, world)
-    clip = torch.einsum("bij,bjhw->bihw", projection, camera)
+    camera = transformed(view, world)
+    clip = transformed(projection, camera)
     w = torch.where(clip[:, 3].abs() < 1e-8, 1e-8, clip[:, 3])
     x = (clip[:, 0] / w + 1) * (width / 2)
     y = (1 - clip[:, 1] / w) * (height / 2)

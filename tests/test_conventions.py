@@ -100,6 +100,21 @@ def test_depth_is_the_distance_along_the_view_axis() -> None:
     torch.testing.assert_close(pixel[0], pixel_grid(20, 30), atol=1e-4, rtol=0)
 
 
+def test_positions_are_exact_where_networks_are_rounded() -> None:
+    """Under autocast too: eight bits of a position of a thousand units would be wrong by four."""
+    frame = plane(7.0, look((1000.0, -500.0, 300.0), roll=0.4))
+    exact = world_position(frame.depth, frame.view, frame.projection)
+    there, depth = project(exact, frame.view, frame.projection)
+    with torch.autocast("cpu", torch.bfloat16):
+        rounded = world_position(frame.depth, frame.view, frame.projection)
+        assert torch.equal(rounded, exact)
+        assert all(
+            torch.equal(*pair)
+            for pair in zip(project(rounded, frame.view, frame.projection), (there, depth), strict=True)
+        )
+    torch.testing.assert_close(there[0], pixel_grid(20, 30), atol=0.05, rtol=0)
+
+
 def test_sky_fits_a_half_float_and_has_inverse_depth_zero() -> None:
     assert float(torch.tensor(SKY).half()) == SKY
     assert inverse_depth(torch.tensor([[[[SKY, 2.0]]]])).flatten().tolist() == [0, 0.5]
