@@ -137,8 +137,8 @@ def _write_depth(buffers: Buffers, *, forward: bool = False) -> tuple[Constant, 
     if _device(buffers):
         return ()
     kind = buffers.depth.kind if buffers.depth else "planar"
-    distance = "1 / v" if kind == "inverse" else "z"
-    formula = f"1 - near / {distance}" if forward else f"near / {distance}"
+    near = "near * v" if kind == "inverse" else "near / z"
+    formula = f"1 - {near}" if forward else near
     why = f"depth is {kind}; what is read is a depth buffer with an infinite far plane, {int(forward)} at the sky"
     return (Constant("prepare depth", formula, why),)
 
@@ -202,9 +202,7 @@ def _fsr3(buffers: Buffers) -> list[Constant]:
             False,
             "vectors have the size of the rendered frames",
         ),
-        _jitter(
-            "jitterOffset", "AMD's sample passes its own jitter negated, because its camera adds it the other way."
-        ),
+        _jitter("jitterOffset", "AMD's sample passes a negated one: go by the rule, not by the sample's sign."),
         Constant(
             "jitter phases",
             count,
@@ -213,9 +211,11 @@ def _fsr3(buffers: Buffers) -> list[Constant]:
         _mip(buffers, 1, "log2(render / display) - 1 for every material texture"),
         *_write_depth(buffers),
         Constant(
-            "FFX_UPSCALE_ENABLE_DEPTH_INVERTED", reverse, "1 is near; recommended together with an infinite far plane"
+            "FFX_UPSCALE_ENABLE_DEPTH_INVERTED",
+            reverse,
+            "whether 1 is near; recommended, together with an infinite far plane",
         ),
-        Constant("FFX_UPSCALE_ENABLE_DEPTH_INFINITE", infinite, "the far plane is infinite"),
+        Constant("FFX_UPSCALE_ENABLE_DEPTH_INFINITE", infinite, "whether the far plane is infinite"),
         Constant("FFX_UPSCALE_ENABLE_HIGH_DYNAMIC_RANGE", True, "colour is linear and goes beyond 1"),
         *_exposure(buffers, "preExposure", "FFX_UPSCALE_ENABLE_AUTO_EXPOSURE"),
         _frame_time(buffers, "frameTimeDelta"),
@@ -263,14 +263,16 @@ def _dlss(buffers: Buffers) -> list[Constant]:
             f"to -1..1: do not copy it from there",
         ),
         Constant("NVSDK_NGX_DLSS_Feature_Flags_MVLowRes", True, "vectors have the size of the rendered frames"),
-        Constant("NVSDK_NGX_DLSS_Feature_Flags_MVJittered", buffers.motion.jittered, "the jitter is in the vectors"),
+        Constant(
+            "NVSDK_NGX_DLSS_Feature_Flags_MVJittered", buffers.motion.jittered, "whether the jitter is in the vectors"
+        ),
         _jitter(
             "InJitterOffsetX, InJitterOffsetY", "A still camera over a still scene shakes where the sign is wrong."
         ),
         Constant("jitter phases", phases(buffers.ratio), "8 (display / render)², at least"),
         _mip(buffers, 0, "log2(render / display), added to the bias that a texture has"),
         *_write_depth(buffers),
-        Constant("NVSDK_NGX_DLSS_Feature_Flags_DepthInverted", reverse, "1 is near"),
+        Constant("NVSDK_NGX_DLSS_Feature_Flags_DepthInverted", reverse, "whether 1 is near"),
         Constant("NVSDK_NGX_DLSS_Feature_Flags_IsHDR", True, "colour is linear and goes beyond 1"),
         *_exposure(buffers, "InPreExposure", "NVSDK_NGX_DLSS_Feature_Flags_AutoExposure"),
         Constant("InRenderSubrectDimensions", [width, height], "the part of the buffers that is the picture"),
@@ -290,8 +292,8 @@ def _streamline(buffers: Buffers) -> list[Constant]:
             f"{_units(buffers)}; Streamline wants -1..1 after this factor, {{1/w, 1/h}} for pixels; "
             f"NGX's InMVScale goes the other way, to pixels",
         ),
-        Constant("cameraMotionIncluded", buffers.motion.camera, "the camera's motion is in the vectors"),
-        Constant("motionVectorsJittered", buffers.motion.jittered, "the jitter is in the vectors"),
+        Constant("cameraMotionIncluded", buffers.motion.camera, "whether the camera's motion is in the vectors"),
+        Constant("motionVectorsJittered", buffers.motion.jittered, "whether the jitter is in the vectors"),
         Constant("motionVectors3D", False, "vectors have two components"),
         Constant(
             "motionVectorsDilated", False, "vectors belong to their own pixel, not to the nearest of its neighbours"
@@ -300,7 +302,7 @@ def _streamline(buffers: Buffers) -> list[Constant]:
         Constant("jitter phases", phases(buffers.ratio), "8 (display / render)², at least"),
         _mip(buffers, 0, "log2(render / display), added to the bias that a texture has"),
         *_write_depth(buffers),
-        Constant("depthInverted", reverse, "1 is near"),
+        Constant("depthInverted", reverse, "whether 1 is near"),
         Constant("cameraViewToClip, clipToPrevClip", "unjittered, row-major", "no jitter in any matrix"),
         Constant("orthographicProjection", _orthographic(buffers), "from the projection of the first frame"),
         _reset(buffers, "reset"),
@@ -331,12 +333,12 @@ def _xess(buffers: Buffers) -> list[Constant]:
         Constant(
             "XESS_INIT_FLAG_HIGH_RES_MV", False, "vectors have the size of the rendered frames; depth is needed then"
         ),
-        Constant("XESS_INIT_FLAG_JITTERED_MV", buffers.motion.jittered, "the jitter is in the vectors"),
+        Constant("XESS_INIT_FLAG_JITTERED_MV", buffers.motion.jittered, "whether the jitter is in the vectors"),
         _jitter("jitterOffsetX, jitterOffsetY", "In row-vector matrices: P[2][0] += 2 x / w, P[2][1] -= 2 y / h."),
         Constant("jitter phases", phases(buffers.ratio), "Halton, at least 8 (display / render)²"),
         _mip(buffers, 0, "log2(render / display), without FSR's further -1"),
         *_write_depth(buffers),
-        Constant("XESS_INIT_FLAG_INVERTED_DEPTH", reverse, "1 is near"),
+        Constant("XESS_INIT_FLAG_INVERTED_DEPTH", reverse, "whether 1 is near"),
         Constant("XESS_INIT_FLAG_LDR_INPUT_COLOR", False, "colour is linear and goes beyond 1"),
         *_exposure(buffers, "exposure in colour", "XESS_INIT_FLAG_ENABLE_AUTOEXPOSURE"),
         _reset(buffers, "resetHistory"),
