@@ -14,6 +14,7 @@ from framecast.bench import command as bench
 from framecast.clip import Clip, check, mended
 from framecast.constants import command as constants
 from framecast.demo import demo
+from framecast.doctor.command import command as doctor
 from framecast.evaluate import command as evaluate
 from framecast.export_clip import command as export_clip
 from framecast.fit import method_named
@@ -156,6 +157,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "export-clip": export_clip,
     "constants": constants,
     "check": check_clip,
+    "doctor": doctor,
     "evaluate": evaluate,
     "report": report,
     "bench": bench,
@@ -166,9 +168,12 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command. 0: done; 2: something is wrong with what was given, said in a sentence; 130: interrupted."""
+    """Run one command.
+
+    0: done; 1: the doctor found something; 2: what was given is wrong, said in a sentence; 130: interrupted.
+    """
     try:
-        tyro.extras.subcommand_cli_from_dict(
+        code = tyro.extras.subcommand_cli_from_dict(
             COMMANDS,
             prog="framecast",
             description="More pixels and more frames than were shaded.",
@@ -181,7 +186,7 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("framecast: interrupted; run the same command again to go on", file=sys.stderr)
         return 130
-    return 0
+    return code if isinstance(code, int) else 0
 
 
 if __name__ == "__main__":

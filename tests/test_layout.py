@@ -43,6 +43,7 @@ LEVELS = {
     "bench": 5,
     "page": 5,
     "report": 6,
+    "doctor": 5,
     "demo": 6,
     "cli": 7,
 }

@@ -1,4 +1,4 @@
-"""Do the vectors hold what the camera does? Pixels without a vector, and whether the picture moves there all the same."""
+"""Do the vectors hold what the camera does? Pixels without a vector, and whether the picture moves there."""
 
 from dataclasses import dataclass, replace
 
@@ -159,8 +159,8 @@ def rough_shift(pair: Pair, reach: int = 24) -> np.ndarray:
     """The whole-pixel shift, up to `reach`, with which most points agree; searched coarse to fine."""
     best = np.zeros(2)
     for step in (8.0, 3.0, 1.0):
-        offsets = np.arange(-3, 4) * step if step == 8.0 else np.arange(-3, 4) * step / 1.0
-        trials = [best + (dx, dy) for dx in offsets for dy in offsets]
+        offsets = np.arange(-3, 4) * step
+        trials = [best + np.array([dx, dy]) for dx in offsets for dy in offsets]
         some = slice(None, None, max(1, len(pair.x) // 800))
         errors = [
             np.minimum(

@@ -110,10 +110,11 @@ def _residual(basis: np.ndarray, v: np.ndarray) -> float:
     """Median length of what the best robust combination of the basis leaves of vectors `n 2`."""
     weight = np.ones(len(v))
     for _ in range(12):
-        scaled = basis * weight[:, None]
-        solution = np.linalg.lstsq(scaled, v * weight[:, None], rcond=None)[0]
+        normal = (basis * weight[:, None]).T @ basis
+        ridge = 1e-12 * np.trace(normal) * np.eye(len(normal))
+        solution = np.linalg.solve(normal + ridge, (basis * weight[:, None]).T @ v)
         length = np.sqrt(((v - basis @ solution) ** 2).sum(1))
-        weight = 1 / np.sqrt(1 + (length / (2 * np.median(length) + 1e-4)) ** 2)
+        weight = 1 / (1 + (length / (2 * np.median(length) + 1e-4)) ** 2)
     return float(np.median(length))
 
 

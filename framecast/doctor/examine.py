@@ -1,6 +1,6 @@
 """All experiments on one folder, in the order in which each builds on the last."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,7 +31,7 @@ from framecast.doctor.take import Take, load
 from framecast.doctor.timeline import exposure_of, steps_of
 from framecast.exr import ClipError
 from framecast.importers.decode import decode_depth
-from framecast.importers.settings import Depth, Motion, Settings
+from framecast.importers.settings import Depth, Jitter, Motion, Settings
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,8 @@ def examine(folder: Path | str) -> Examined:
         settings = replace(
             settings, motion=replace(told.motion, offset=settings.motion.offset + offset, jittered=jittered)
         )
+    if source.kind == "clip" and "jitter" in take.recorded and not jitter_gone(findings):
+        settings = replace(settings, jitter=_recorded(source, settings.jitter))
     settings, said = _surfaces(source, take, settings, _unshaken(take, fields, jittered))
     findings += said
     settings, said = _light(source, take, settings, told)
@@ -84,11 +86,26 @@ def examine(folder: Path | str) -> Examined:
     return Examined(report, take, told, source.claim)
 
 
+def _recorded(source: Source, found: Jitter) -> Jitter:
+    """The jitter that a clip records, for a settings file, read as found."""
+    if found.values or found.halton:
+        return found
+    return replace(found, values=tuple((float(r.jitter[0]), float(r.jitter[1])) for r in source.records))
+
+
+def jitter_gone(findings: Sequence[Finding]) -> bool:
+    """Whether the picture does not shake although jitter is recorded."""
+    return any(f.code == "jitter.absent" for f in findings)
+
+
 def _files(source: Source, take: Take) -> list[Finding]:
     """What is wrong with the files themselves."""
     out = [Finding("frames.files", "fix", remark) for remark in source.remarks]
     for name, bad in take.blemishes.items():
-        says = f"{name} holds {bad} NaN or infinite numbers in the frames looked at; render those frames again, or import with --repair"
+        says = (
+            f"{name} holds {bad} NaN or infinite numbers in the frames looked at; render those "
+            "frames again, or import with --repair"
+        )
         out.append(Finding(f"{name}.nan", "fix", says))
     return out
 
@@ -148,15 +165,16 @@ def _surfaces(
 ) -> tuple[Settings, list[Finding]]:
     """Depth, normals, silhouettes."""
     findings: list[Finding] = []
-    if settings.depth is None or not take.full("depth"):
+    claimed = settings.depth
+    if claimed is None or not take.full("depth"):
         return settings, findings
     said, depth = tell_depth(
-        take, settings.depth, {t: f for t, f in fields.items() if "depth" in take.stored[t]}, source.bits["depth"]
+        take, claimed, {t: f for t, f in fields.items() if "depth" in take.stored[t]}, source.bits["depth"]
     )
     findings += said
     if depth is not None:
         settings = replace(settings, depth=depth)
-    distances = _distances(take, depth or settings.depth)
+    distances = _distances(take, depth or claimed)
     if settings.normal is not None and distances:
         tangents = tangents_of(take)
         normals = normals_of(take, distances, tangents[0] if len(tangents) == 1 else 0.45)

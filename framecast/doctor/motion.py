@@ -8,6 +8,7 @@ shift between two frames is either known (`Shifts`) or fitted anew for each pair
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Literal
 
 import numpy as np
 
@@ -34,6 +35,17 @@ UNREAL_BIAS, UNREAL_SCALE = 32767 / 65535, 1 / 0.2495
 
 FACTORS = (1.0, 0.5, 2.0, 0.25, 4.0)
 """Lengths of vectors in pixels that are tried: half and double are other resolutions, or the half that NDC loses."""
+
+
+Direction = Literal["current->previous", "previous->current", "current->next", "next->current"]
+
+DIRECTIONS: tuple[Direction, ...] = ("current->previous", "previous->current", "current->next", "next->current")
+
+
+CODES: tuple[tuple[Literal["uv", "ndc"], float], ...] = (("uv", 1.0), ("uv", 2.0), ("ndc", 1.0))
+"""What one unit of a code about one half is worth."""
+
+PACKINGS: tuple[Literal["base255", "base256"], ...] = ("base255", "base256")
 
 
 @dataclass(frozen=True)
@@ -81,9 +93,7 @@ def displacement(stored: np.ndarray, motion: Motion, size: tuple[int, int], own:
 
 def readings(layer: Motion, stored: np.ndarray) -> Iterator[Motion]:
     """Everything that these numbers may mean, the plainest first. `stored`: a sample `c n` of them."""
-    for plain, signs, direction in product(
-        units(layer, stored), ((1.0, 1.0), (1.0, -1.0)), ("current->previous", "previous->current", "current->next", "next->current")
-    ):  # fmt: skip
+    for plain, signs, direction in product(units(layer, stored), ((1.0, 1.0), (1.0, -1.0)), DIRECTIONS):
         yield replace(plain, sign=signs, direction=direction)
 
 
@@ -92,12 +102,13 @@ def units(layer: Motion, stored: np.ndarray) -> Iterator[Motion]:
     bare = Motion(files=layer.files, channels=layer.channels)
     coded = bool(stored.min() >= 0 and stored.max() <= 1.01)
     if len(stored) == 4:
-        for packing, (unit, factor) in product(("base255", "base256"), (("uv", 1.0), ("ndc", 2.0), ("uv", 2.0))):
-            yield replace(bare, packing=packing, bias=(0.5, 0.5), scale=(factor, factor), units=unit)
+        for packing in PACKINGS:
+            for unit, factor in CODES:
+                yield replace(bare, packing=packing, bias=(0.5, 0.5), scale=(factor, factor), units=unit)
         return
     if coded and np.ptp(stored) > 0:
         middle = resting(stored)
-        for unit, factor in (("uv", 1.0), ("uv", 2.0), ("ndc", 1.0)):
+        for unit, factor in CODES:
             yield replace(bare, bias=middle, scale=(factor, factor), units=unit)
         unreal = replace(bare, bias=(UNREAL_BIAS,) * 2, scale=(UNREAL_SCALE,) * 2, units="ndc")
         yield unreal

@@ -46,7 +46,7 @@ class Held:
 
 
 def by_name(held: Sequence[Pass]) -> dict[str, Held]:
-    """Buffers whose name says what they are. Vectors of four 8-bit channels are taken as packed, of four floats as two."""
+    """Buffers whose name says what they are. Vectors of four 8-bit channels are packed, of four floats two vectors."""
     found: dict[str, Held] = {}
     for candidate in held:
         role = named(candidate)
@@ -89,7 +89,7 @@ def named(candidate: Pass) -> str | None:
     letters = set(candidate.letters)
     if not prefix and {"R", "G", "B"} <= letters and candidate.about.bits == 32:
         return "color"
-    return "depth" if not prefix and letters & {"DEPTH"} or letters == {"Z"} else None
+    return "depth" if (not prefix and letters & {"DEPTH"}) or letters == {"Z"} else None
 
 
 def by_content(planes: Mapping[str, tuple[Held, np.ndarray, np.ndarray]], lacking: Sequence[str]) -> dict[str, str]:

@@ -48,8 +48,8 @@ def sample(
 ) -> Float[np.ndarray, "c n"]:
     """Bilinear values at positions; outside, those of the edge."""
     height, width = image.shape[1:]
-    x = np.clip(np.nan_to_num(x - 0.5), 0, width - 1)
-    y = np.clip(np.nan_to_num(y - 0.5), 0, height - 1)
+    x = np.clip(x - 0.5, 0, width - 1)
+    y = np.clip(y - 0.5, 0, height - 1)
     left = np.minimum(x.astype(np.int32), max(width - 2, 0))
     top = np.minimum(y.astype(np.int32), max(height - 2, 0))
     right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
@@ -119,7 +119,7 @@ def pair_of(images: Sequence[Float[np.ndarray, "3 h w"]], here: int, there: int,
 def misfit(pair: Pair, dx: Float[np.ndarray, " n"], dy: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """How different the other frame looks where each point is said to have been, at most 1; gain taken out."""
     difference = pair.value - sample(pair.other, pair.x + dx, pair.y + dy)
-    return np.minimum(np.abs(difference - np.median(difference)).mean(0), 1)
+    return np.minimum(np.abs(difference - np.median(difference[:, ::4])).mean(0), 1)
 
 
 def fit_shift(
@@ -130,8 +130,8 @@ def fit_shift(
     for _ in range(steps):
         got = sample(pair.other, pair.x + dx + shift[0], pair.y + dy + shift[1])
         error = pair.value - got
-        error = error - np.median(error)
-        spread = 2 * np.median(np.abs(error)) + 1e-6
+        error = error - np.median(error[:, ::4])
+        spread = 2 * np.median(np.abs(error[:, ::4])) + 1e-6
         weight = 1 / (1 + (error / spread) ** 2) ** 2
         gx, gy = weight * pair.slope_x, weight * pair.slope_y
         a, b, c = (gx * pair.slope_x).sum(), (gx * pair.slope_y).sum(), (gy * pair.slope_y).sum()
@@ -139,7 +139,8 @@ def fit_shift(
         determinant = a * c - b * b
         if not determinant > 1e-9 * max(a * c, 1e-12):
             break
-        shift = np.clip(shift + [(c * u - b * v) / determinant, (a * v - b * u) / determinant], -limit, limit)
+        step = np.array([c * u - b * v, a * v - b * u]) / determinant
+        shift = np.clip(shift + step, -limit, limit)
     return float(shift[0]), float(shift[1])
 
 

@@ -65,7 +65,7 @@ class Report:
         rows = sorted(self.findings, key=lambda f: order[f.state])
         lines = [f"{self.folder}: {looked} looked at, {width}x{height}, read as {self.source}", ""]
         lines += [f"{MARKS[f.state]:>5}  {f.says}" for f in rows]
-        return "\n".join([*lines, "", self.summary(), *self.written])
+        return "\n".join([*lines, "", *self.written, self.summary()])
 
     def summary(self) -> str:
         """One line."""

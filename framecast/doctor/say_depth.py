@@ -36,11 +36,17 @@ def tell_depth(
         return [Finding("depth.empty", "fix", f"depth holds {held}; switch the depth pass on")], None
     steps = len(np.unique(np.concatenate([np.unique(take.stored[t]["depth"][0]) for t in frames[:2]])))
     if bits == 8 or steps <= 256:
-        says = f"depth has {steps} different values, as 8 bits do: too coarse to find what hides what; export 16 or 32 bits (EXR)"
+        says = (
+            f"depth has {steps} different values, as 8 bits do: too coarse to find what hides what; "
+            "export 16 or 32 bits (EXR)"
+        )
         return [Finding("depth.bits", "fix", says)], None
     kind, law, name, value = kind_of(take, claim, fields)
     if kind is None:
-        says = "what depth means cannot be told: no plane is in sight and the camera does not move sideways; record a camera that walks"
+        says = (
+            "what depth means cannot be told: no plane is in sight and the camera does not move "
+            "sideways; record a camera that walks"
+        )
         return [Finding("depth.open", "unknown", says)], None
     found, scaled = parameters(take, claim, kind, fields, values)
     out = []
@@ -61,7 +67,8 @@ def tell_depth(
             Finding(
                 "depth",
                 "fine",
-                f"depth: {worded(claimed)}, as claimed ({name}: misfit {law.misfits[value]:.4f}, next kind {_next(law, value):.4f})",
+                f"depth: {worded(claimed)}, as claimed ({name}: misfit {law.misfits[value]:.4f}, next "
+                f"kind {_next(law, value):.4f})",
             )
         )
     return out, found
@@ -171,7 +178,7 @@ def fitted_scale(take: Take, depth: Depth, fields: Mapping[int, np.ndarray]) -> 
     if "cameras" not in take.recorded or take.stretch != 1.0:
         return None
     votes = []
-    for t, field in list(fields.items())[:5]:
+    for t, field in list(fields.items())[:4]:
         if not take.joined[t]:
             continue
         try:
@@ -182,14 +189,14 @@ def fitted_scale(take: Take, depth: Depth, fields: Mapping[int, np.ndarray]) -> 
         places = np.flatnonzero(~sky)
         if len(places) < 0.05 * sky.size:
             continue
-        places = np.random.default_rng(t).choice(places, min(len(places), 1500), replace=False)
+        places = np.random.default_rng(t).choice(places, min(len(places), 500), replace=False)
         near, v = resampled(z, take.size).ravel()[places].astype(np.float64), field.reshape(2, -1)[:, places]
         misfit = lambda s: _camera_misfit(take, t, places, near * s, v)  # noqa: B023, E731
-        errors = {float(s): misfit(s) for s in np.geomspace(1e-4, 1e4, 97)}
+        errors = {float(s): misfit(s) for s in np.geomspace(1e-4, 1e4, 49)}
         best = min(errors, key=errors.__getitem__)
         beyond = max(min(errors[s] for s in errors if s > 30 * best or s < best / 30) if len(errors) > 2 else 0.0, 0.0)
         if beyond > 3 * errors[best] + 0.02:
-            votes.append(float(min(best * np.geomspace(0.8, 1.25, 19), key=misfit)))
+            votes.append(float(min(best * np.geomspace(0.7, 1.43, 25), key=misfit)))
     return float(np.median(votes)) if len(votes) >= 2 or (votes and len(fields) < 3) else None
 
 

@@ -1,12 +1,11 @@
 """Verdicts about jitter: does the picture shake as recorded, and do the vectors shake with it?"""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 
-from framecast.doctor.jitter import SHAKE, Match, compare, halton, sequence_of
+from framecast.doctor.jitter import SHAKE, Match, compare, halton
 from framecast.doctor.report import Finding
 from framecast.doctor.search import Shake, fits
 from framecast.doctor.take import Take
@@ -27,15 +26,18 @@ def tell_jitter(
         said, match, sequence = inside
         known = "as recorded" if said == "recorded" else "by a Halton sequence"
         words = (
-            f"the jitter is in the vectors: they shake {known} (slope {match.slope[0]:.2f} {match.slope[1]:.2f}, {match.explained:.0%} explained), "
-            f"the pictures along them do not ({shake.size:.3f} pixels); the difference of the jitters has to be taken out"
+            f"the jitter is in the vectors: they shake {known} (slope {match.slope[0]:.2f} "
+            f"{match.slope[1]:.2f}, {match.explained:.0%} explained), "
+            f"the pictures along them do not ({shake.size:.3f} pixels); the difference of the "
+            "jitters has to be taken out"
         )
         found = claim if said == "recorded" else replace(_sequence(sequence, match), units="pixels")
         return [Finding("motion.jittered", "fix", words)], found, True
     if shake.size < SHAKE:
         if recorded:
             words = (
-                f"jitter is recorded ({recorded_size(take):.2f} pixels) but the picture does not shake ({shake.size:.3f} pixels); "
+                f"jitter is recorded ({recorded_size(take):.2f} pixels) but the picture does not shake "
+                f"({shake.size:.3f} pixels); "
                 f"render with the projection jittered, or record none"
             )
             return [Finding("jitter.absent", "fix", words)], Jitter(), False
@@ -49,12 +51,14 @@ def tell_jitter(
     if shake.sequence is not None:
         length, start, match = shake.sequence
         words = (
-            f"the picture is jittered ({shake.size:.2f} pixels) and nothing says so: it follows Halton (2, 3) with {length} phases "
+            f"the picture is jittered ({shake.size:.2f} pixels) and nothing says so: it follows "
+            f"Halton (2, 3) with {length} phases "
             f"from phase {start} on{_signed(match)} ({match.explained:.0%} explained)"
         )
         return [Finding("jitter.unrecorded", "fix", words)], _sequence(shake.sequence, match), False
     words = (
-        f"the picture shakes by {shake.size:.2f} pixels from frame to frame and nothing says so; record the jitter of each frame "
+        f"the picture shakes by {shake.size:.2f} pixels from frame to frame and nothing says "
+        "so; record the jitter of each frame "
         f"(no Halton sequence explains it)"
     )
     return [Finding("jitter.unrecorded", "fix", words)], claim, False
@@ -82,39 +86,46 @@ def _against_record(take: Take, shake: Shake, claim: Jitter) -> tuple[list[Findi
     match = shake.recorded
     assert match is not None
     if fits(match) and min(match.slope) > 0:
-        words = f"jitter: as recorded (the picture moves by {match.slope[0]:.2f} and {match.slope[1]:.2f} of it, {match.explained:.0%} explained)"
+        words = (
+            f"jitter: as recorded (the picture moves by {match.slope[0]:.2f} and "
+            f"{match.slope[1]:.2f} of it, {match.explained:.0%} explained)"
+        )
         return [Finding("jitter", "fine", words)], claim, False
     sign = (float(np.sign(match.slope[0])), float(np.sign(match.slope[1])))
     found = replace(claim, sign=(claim.sign[0] * sign[0], claim.sign[1] * sign[1]))
     if fits(match):
         turned = [axis for axis, s in zip("xy", sign, strict=True) if s < 0]
         words = (
-            f"jitter has the wrong sign in {' and '.join(turned)}: the picture moves by {match.slope[0]:.2f} and {match.slope[1]:.2f} "
+            f"jitter has the wrong sign in {' and '.join(turned)}: the picture moves by "
+            f"{match.slope[0]:.2f} and {match.slope[1]:.2f} "
             f"of what is recorded ({match.explained:.0%} explained)"
         )
         return [Finding("jitter.sign", "fix", words)], found, False
     if match.explained > 0.8:
         words = (
-            f"jitter is recorded in another unit: the picture moves by {match.slope[0]:.3g} and {match.slope[1]:.3g} pixels for each unit "
+            f"jitter is recorded in another unit: the picture moves by {match.slope[0]:.3g} and "
+            f"{match.slope[1]:.3g} pixels for each unit "
             f"(UV: {take.size[1]} and {take.size[0]}; NDC: half of that)"
         )
-        units = (
-            "uv"
-            if abs(match.slope[0]) > 0.7 * take.size[1]
-            else "ndc"
-            if abs(match.slope[0]) > 0.2 * take.size[1]
-            else "pixels"
-        )
-        return [Finding("jitter.unit", "fix", words)], replace(found, units=units), False
+        length = abs(match.slope[0]) / take.size[1]
+        if length > 0.7:
+            found = replace(found, units="uv")
+        elif length > 0.2:
+            found = replace(found, units="ndc")
+        return [Finding("jitter.unit", "fix", words)], found, False
     for words, positions in altered(take):
         other = compare(shake.measured, np.array([positions[t] - positions[t - 1] for t in shake.frames]))
         if fits(other):
-            says = f"recorded jitter is {words}{_signed(other)}: so it explains {other.explained:.0%} of the picture's shaking, as recorded {max(match.explained, 0):.0%}"
+            says = (
+                f"recorded jitter is {words}{_signed(other)}: so it explains {other.explained:.0%} of "
+                f"the picture's shaking, as recorded {max(match.explained, 0):.0%}"
+            )
             sign = (float(np.sign(other.slope[0])), float(np.sign(other.slope[1])))
             values = tuple((float(x), float(y)) for x, y in positions * sign)
             return [Finding("jitter.order", "fix", says)], Jitter(values=values), False
     words = (
-        f"the picture does not shake as recorded: by {shake.size:.2f} pixels, of which the record explains {max(match.explained, 0):.0%}; "
+        f"the picture does not shake as recorded: by {shake.size:.2f} pixels, of which the "
+        f"record explains {max(match.explained, 0):.0%}; "
         f"record each frame's own jitter"
     )
     if shake.sequence is not None:
@@ -174,11 +185,3 @@ def inner_shake(
             ):
                 best = (match.explained, (length, start, match))
     return ("halton", best[1][2], best[1]) if best else None
-
-
-def consecutive(frames: Sequence[int]) -> bool:
-    """Whether frames follow each other without a hole."""
-    return all(b == a + 1 for a, b in zip(frames, frames[1:], strict=False))
-
-
-__all__ = ["product", "sequence_of", "tell_jitter"]

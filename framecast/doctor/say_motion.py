@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from framecast.doctor.camera import Blanks, blanks_of
-from framecast.doctor.motion import Reading, Scene, displacement, margin, resampled, scene_of, trial
+from framecast.doctor.motion import Direction, Reading, Scene, displacement, margin, resampled, scene_of, trial
 from framecast.doctor.probe import fit_shift, misfit
 from framecast.doctor.report import Finding
 from framecast.doctor.search import RATIO, SURE, Answer, search
@@ -56,7 +56,8 @@ def tell_motion(take: Take, claim: Motion) -> Told:
             Finding(
                 "motion.unwritten",
                 "fix",
-                "0 marks pixels without vectors, among codes about one half; they have to be left out, or filled in from depth and cameras",
+                "0 marks pixels without vectors, among codes about one half; they have to be left out, "
+                "or filled in from depth and cameras",
             )
         )
     if not answer.decided and not missing:
@@ -175,7 +176,8 @@ def _still(take: Take, answer: Answer) -> Finding:
 def _fine(answer: Answer) -> Finding:
     _, _, sure = margin(answer.best, answer.still, answer.scene)
     return Finding(
-        "motion", "fine", f"vectors: {worded(answer.best.reading.motion)}, as claimed; along them neighbouring frames differ by "
+        "motion", "fine",
+        f"vectors: {worded(answer.best.reading.motion)}, as claimed; along them neighbouring frames differ by "
         f"{answer.best.mean:.3f}, without them by {answer.still.mean:.3f}", answer.still.mean, answer.best.mean, sure,
     )  # fmt: skip
 
@@ -186,7 +188,10 @@ def worded(motion: Motion) -> str:
     factor = "" if motion.scale == (1.0, 1.0) else f" times {motion.scale[0]:.5g}"
     code = f", {motion.bias[0]:.4g} for none" if motion.bias != (0.0, 0.0) else ""
     packed = {"none": "", "unreal_sqrt": ", square roots"}.get(motion.packing, f", {motion.packing}")
-    return f"{motion.units}{factor}, {motion.direction}, x {'right' if right else 'left'}, y {'down' if down else 'up'}{code}{packed}"
+    return (
+        f"{motion.units}{factor}, {motion.direction}, x {'right' if right else 'left'}, y "
+        f"{'down' if down else 'up'}{code}{packed}"
+    )
 
 
 def effective(motion: Motion) -> tuple[float, float]:
@@ -211,7 +216,7 @@ def _differences(take: Take, answer: Answer, claim: Motion) -> list[Finding]:
     flip = lambda m, sx, sy: replace(m, sign=(m.sign[0] * sx, m.sign[1] * sy))  # noqa: E731
     if ("next" in best.direction) != ("next" in claim.direction):
         other = "next" if "next" in best.direction else "previous"
-        back = {"current->next": "current->previous", "next->current": "previous->current"}
+        back: dict[Direction, Direction] = {"current->next": "current->previous", "next->current": "previous->current"}
         without = replace(best, direction=back.get(best.direction, best.direction))
         add(
             "motion.time",
@@ -225,7 +230,8 @@ def _differences(take: Take, answer: Answer, claim: Motion) -> list[Finding]:
     elif x:
         add(
             "motion.x",
-            "horizontal motion is negated (as where vectors run from the previous frame to this one with y up); x has to be negated",
+            "horizontal motion is negated (as where vectors run from the previous frame to this "
+            "one with y up); x has to be negated",
             flip(best, -1, 1),
         )
     if best.bias != claim.bias or best.packing != claim.packing:
@@ -251,7 +257,10 @@ def _length(take: Take, answer: Answer, claim: Motion) -> Finding:
         code = "motion.unit"
     else:
         factor = best.scale[0] / claim.scale[0]
-        words = f"vectors are {'shorter' if factor > 1 else 'longer'} than the picture moves, they have to be taken times {factor:.3g}"
+        words = (
+            f"vectors are {'shorter' if factor > 1 else 'longer'} than the picture moves, they have "
+            f"to be taken times {factor:.3g}"
+        )
         why = {
             2.0: " (NDC taken for UV, half the resolution, or frames left out)",
             0.5: " (UV taken for NDC, or twice the resolution)",
@@ -263,12 +272,18 @@ def _length(take: Take, answer: Answer, claim: Motion) -> Finding:
 def _blank_finding(blanks: Blanks, lacks: str) -> Finding:
     errors = f"error there falls from {blanks.still:.3f} to {blanks.moved:.3f} when a camera moves them"
     if blanks.surfaces < 0.02:
-        says = f"the background has no vectors ({blanks.share:.0%} of the picture) although the camera turns: {errors}; it needs the cameras"
+        says = (
+            f"the background has no vectors ({blanks.share:.0%} of the picture) although the camera "
+            f"turns: {errors}; it needs the cameras"
+        )
         return Finding("motion.background", "note", says, blanks.still, blanks.moved, blanks.votes)
     if lacks == "camera":
         says = f"vectors lack the camera's part: {blanks.share:.0%} of the picture is said to stand still, and {errors}"
         return Finding("motion.camera", "fix", says, blanks.still, blanks.moved, blanks.votes)
-    says = f"vectors were not written where nothing moves by itself ({blanks.share:.0%} of the picture holds {blanks.code:g}): {errors}"
+    says = (
+        f"vectors were not written where nothing moves by itself ({blanks.share:.0%} of the "
+        f"picture holds {blanks.code:g}): {errors}"
+    )
     return Finding("motion.unwritten", "fix", says, blanks.still, blanks.moved, blanks.votes)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from framecast.doctor.edges import Edges, Grain, alignment
 from framecast.doctor.motion import Shifts
 from framecast.doctor.probe import fit_shift, misfit, pair_of, pick_points, textured
-from framecast.doctor.report import Finding
+from framecast.doctor.report import Finding, State
 from framecast.doctor.surface import Normals, Tone
 from framecast.doctor.take import Take
 from framecast.doctor.timeline import Exposure, Step, cuts, padding, repeats, skips
@@ -24,7 +24,8 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
     out, found = [], claim
     if max(normals.plain_share, normals.encoded_share) < 0.5:
         says = (
-            f"normals are no unit vectors (in {normals.plain_share:.0%} of the pixels as they are, in {normals.encoded_share:.0%} "
+            f"normals are no unit vectors (in {normals.plain_share:.0%} of the pixels as they are, "
+            f"in {normals.encoded_share:.0%} "
             f"as n / 2 + 1/2); export unit vectors"
         )
         return [Finding("normal.length", "fix", says)], None
@@ -39,7 +40,8 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
             Finding(
                 "normal.encoded",
                 "fix",
-                f"{says}: {share:.0%} of the pixels are of length 1 so, {min(normals.plain_share, normals.encoded_share):.0%} otherwise",
+                f"{says}: {share:.0%} of the pixels are of length 1 so, "
+                f"{min(normals.plain_share, normals.encoded_share):.0%} otherwise",
             )
         )
         found = replace(found, encoded=normals.encoded)
@@ -53,7 +55,8 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
             Finding(
                 "normal.shape",
                 "fix",
-                f"normals do not fit the slopes of depth in any space ({angles[best]:.0f} degrees off); check both passes",
+                f"normals do not fit the slopes of depth in any space ({angles[best]:.0f} degrees off); "
+                "check both passes",
             )
         )
         return out, None
@@ -63,7 +66,10 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
         where = f"in {space} space, not in {claim.space} space" if space != claim.space else ""
         flips = f"turned around in {' and '.join(turned)}" if turned else ""
         code = "normal.space" if where else "normal.sign"
-        says = f"normals are {' and '.join(filter(None, (where, flips)))}: angle to the slopes of depth falls from {angles[claimed]:.0f} to {angles[best]:.1f} degrees"
+        says = (
+            f"normals are {' and '.join(filter(None, (where, flips)))}: angle to the slopes of "
+            f"depth falls from {angles[claimed]:.0f} to {angles[best]:.1f} degrees"
+        )
         out.append(Finding(code, "fix", says, angles[claimed], angles[best]))
         found = replace(found, space=space, sign=sign)  # type: ignore[arg-type]
     elif not out:
@@ -95,7 +101,8 @@ def _without_cameras(
         return out, replace(found, space="view", sign=best[1])
     if normals.free["mirrored"] > normals.free["proper"] + 0.03:
         says = (
-            f"one axis of the normals is turned around: no rotation of the world fits the slopes of depth (cosine {normals.free['proper']:.2f}), "
+            "one axis of the normals is turned around: no rotation of the world fits the slopes of "
+            f"depth (cosine {normals.free['proper']:.2f}), "
             f"a mirrored one does ({normals.free['mirrored']:.2f}); usually it is y"
         )
         out.append(Finding("normal.sign", "fix", says))
@@ -105,7 +112,8 @@ def _without_cameras(
             Finding(
                 "normal",
                 "fine",
-                f"normals: world space (after a rotation they fit the slopes of depth, cosine {normals.free['proper']:.2f})",
+                "normals: world space (after a rotation they fit the slopes of depth, cosine "
+                f"{normals.free['proper']:.2f})",
             )
         )
     return out, found
@@ -119,18 +127,23 @@ def tell_color(tone: Tone | None, claim: Color, bits: int) -> tuple[list[Finding
         return _claimed_display(tone, claim, bits)
     if tone.slope is not None and tone.slope < 0.53:
         says = (
-            f"colour is encoded for a display, not linear: where only albedo jumps, colour changes {tone.slope:.2f} times as much "
+            "colour is encoded for a display, not linear: where only albedo jumps, colour changes "
+            f"{tone.slope:.2f} times as much "
             f"in stops (linear light: nearly 1, sRGB: under 1/2); export scene-linear EXR without view transform"
         )
         return [Finding("color.encoding", "fix", says, tone.slope, 1.0)], replace(claim, encoding="srgb")
     if 0.9 < tone.peak < 1.002 and (tone.clipped > 2e-5 or bits < 32) and (tone.slope is None or tone.slope < 0.62):
         says = (
-            f"colour ends at {tone.peak:.3f} ({tone.clipped:.2%} of the pixels are there): it is encoded for a display, or clipped; "
+            f"colour ends at {tone.peak:.3f} ({tone.clipped:.2%} of the pixels are there): it is "
+            "encoded for a display, or clipped; "
             f"export scene-linear EXR without view transform"
         )
         return [Finding("color.encoding", "fix", says)], replace(claim, encoding="srgb")
     if tone.slope is None and tone.peak < 1.002:
-        says = f"whether colour is linear cannot be told (nothing is brighter than {tone.peak:.2f}, and there is no albedo to compare with)"
+        says = (
+            f"whether colour is linear cannot be told (nothing is brighter than {tone.peak:.2f}, "
+            "and there is no albedo to compare with)"
+        )
         return [Finding("color.open", "unknown", f"{says}; export albedo, or a bright lamp in sight")], claim
     why = (
         f"it changes {tone.slope:.2f} times as much as albedo where only albedo jumps"
@@ -181,7 +194,10 @@ def tell_time(take: Take, steps: Sequence[Step], scales: Mapping[int, float]) ->
     number = take.numbers
     out = []
     if found := cuts(steps):
-        says = f"the picture changes altogether at frame {ranges(number[t] for t in found)}: a cut, or another shot; split the folder there, or record the cut"
+        says = (
+            f"the picture changes altogether at frame {ranges(number[t] for t in found)}: a cut, or "
+            "another shot; split the folder there, or record the cut"
+        )
         out.append(Finding("frames.cut", "fix", says))
     if found := repeats(steps):
         says = f"frame {ranges(number[t] for t in found)} is the frame before once more; export it again"
@@ -189,7 +205,8 @@ def tell_time(take: Take, steps: Sequence[Step], scales: Mapping[int, float]) ->
     if found := [t for t in skips(scales) if t not in cuts(steps)]:
         most = max(scales[t] for t in found)
         says = (
-            f"before frame {ranges(number[t] for t in found)} the picture moves {most:.1f} times as far as the vectors, elsewhere it does not: "
+            f"before frame {ranges(number[t] for t in found)} the picture moves {most:.1f} times as "
+            "far as the vectors, elsewhere it does not: "
             f"a frame is missing there"
         )
         out.append(Finding("frames.skipped", "fix", says))
@@ -201,19 +218,21 @@ def tell_edges(edges: Edges, grain: Grain, blender: bool) -> list[Finding]:
     out = []
     if edges.count >= 60 and edges.dilated > 0.5:
         says = (
-            f"vectors are dilated: in {edges.dilated:.0%} of {edges.count} silhouettes the background's first pixel carries the vector of the object; "
+            f"vectors are dilated: in {edges.dilated:.0%} of {edges.count} silhouettes the "
+            "background's first pixel carries the vector of the object; "
             f"export them undilated"
         )
         out.append(Finding("motion.dilated", "fix", says))
     elif edges.count >= 60 and edges.mixed > 0.7:
+        why = "by the pixel filter, as Blender does"
         says = (
-            f"vectors are averaged: in {edges.mixed:.0%} of {edges.count} silhouettes there are vectors between those of both sides "
-            f"({'by the pixel filter, as Blender does' if blender else 'by multi-sampling or a filter; export them with one sample a pixel'})"
+            f"vectors are averaged: in {edges.mixed:.0%} of {edges.count} silhouettes there are vectors between "
+            f"those of both sides ({why if blender else 'by multi-sampling or a filter; export one sample a pixel'})"
         )
         out.append(Finding("motion.averaged", "note" if blender else "fix", says))
     if grain.half or grain.bits < 32:
         kind = "half floats" if grain.half else f"{grain.bits}-bit numbers"
-        harm = "fix" if grain.pixels > 0.1 else "note"
+        harm: State = "fix" if grain.pixels > 0.1 else "note"
         after = "; export 32-bit vectors" if harm == "fix" else ", which does no harm"
         out.append(
             Finding(
@@ -247,7 +266,10 @@ def tell_padding(take: Take) -> tuple[list[Finding], tuple[int, int] | None]:
     if not right and not below:
         return [], None
     height, width = take.size
-    says = f"the last {right} columns and {below} rows hold no picture: buffers are padded, the picture is {width - right}x{height - below}"
+    says = (
+        f"the last {right} columns and {below} rows hold no picture: buffers are padded, the "
+        f"picture is {width - right}x{height - below}"
+    )
     return [Finding("frames.padded", "fix", says)], (width - right, height - below)
 
 
@@ -279,14 +301,18 @@ def tell_odd(take: Take, fields: Mapping[int, np.ndarray], shifts: Shifts | None
     out = []
     usable = len(fields)
     if turned and len(turned) <= usable // 3:
-        says = f"vectors of frame {ranges(take.numbers[t] for t in turned)} are turned around, unlike those of the other frames (they point to the next frame?)"
+        says = (
+            f"vectors of frame {ranges(take.numbers[t] for t in turned)} are turned around, unlike "
+            "those of the other frames (they point to the next frame?)"
+        )
         out.append(Finding("motion.turned", "fix", says))
     if empty and len(empty) < usable:
         out.append(
             Finding(
                 "motion.missing",
                 "fix",
-                f"vectors of frame {ranges(take.numbers[t] for t in empty)} are all 0, unlike those of the other frames; export them again",
+                f"vectors of frame {ranges(take.numbers[t] for t in empty)} are all 0, unlike those of "
+                "the other frames; export them again",
             )
         )
     return out

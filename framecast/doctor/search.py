@@ -7,6 +7,7 @@ import numpy as np
 
 from framecast.doctor.jitter import SHAKE, Match, compare, halton, sequence_of, signs
 from framecast.doctor.motion import (
+    Direction,
     Reading,
     Scene,
     Shifts,
@@ -173,13 +174,13 @@ def shifts_of(take: Take, shake: Shake) -> Shifts | None:
     return shifts
 
 
-TURNED = {
+TURNED: dict[Direction, Direction] = {
     "current->previous": "previous->current",
     "previous->current": "current->previous",
     "current->next": "next->current",
     "next->current": "current->next",
 }
-OTHER_TIME = {
+OTHER_TIME: dict[Direction, Direction] = {
     "current->previous": "next->current",
     "previous->current": "current->next",
     "current->next": "previous->current",
@@ -237,5 +238,5 @@ def measured_scale(
     return out
 
 
-SCALES = tuple(float(round(f, 3)) for f in np.geomspace(1 / 3, 3, 23))
+SCALES = tuple(float(round(f, 3)) for f in np.geomspace(1 / 3, 3, 15))
 """Factors that are tried."""

@@ -67,7 +67,8 @@ class Source:
         Raises:
             ClipError: a file is damaged.
         """
-        told, opened, out = layers(self.claim), {}, {}
+        told, out = layers(self.claim), {}
+        opened: dict[str, dict[str, np.ndarray]] = {}
         for name in names:
             if name not in told or number not in self.files[name]:
                 continue
@@ -75,8 +76,9 @@ class Source:
             for file in self.files[name][number]:
                 path = self.path / file
                 if path.suffix.lower() == ".exr":
-                    channels = opened.setdefault(file, None) or exr.read(path).channels
-                    opened[file] = channels
+                    if file not in opened:
+                        opened[file] = exr.read(path).channels
+                    channels = opened[file]
                     if lack := [c for c in told[name].channels if images.matching(list(channels), c) is None]:
                         raise ClipError(f"{path} lacks {', '.join(lack)}, which other files have; export it again")
                     parts += [channels[str(images.matching(list(channels), c))] for c in told[name].channels]
@@ -147,7 +149,7 @@ def _of_blender(listing: Listing, held: Sequence[Pass]) -> Source:
     if claim.motion_next:
         claim = replace(claim, motion_next=replace(claim.motion_next, sign=(1.0, -1.0), direction="next->current"))
     records: tuple[Record, ...] = ()
-    remark = ()
+    remark: tuple[str, ...] = ()
     try:
         records = open_shot(listing.folder).records
     except ClipError as error:
@@ -172,7 +174,8 @@ def _unknown(listing: Listing, held: Sequence[Pass]) -> Source:
     if "color" not in found:
         what = images.short(sorted({p.label.strip("/") or "RGB" for p in held}))
         raise ClipError(
-            f"{listing.folder} has no colour that can be told from its other layers (it has {what}); export the beauty pass"
+            f"{listing.folder} has no colour that can be told from its other layers (it has "
+            f"{what}); export the beauty pass"
         )
     return _source(listing, "unknown", _claimed(found), ())
 

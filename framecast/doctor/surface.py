@@ -9,18 +9,20 @@ import numpy as np
 from framecast.doctor.camera import sky_of
 from framecast.doctor.take import Take
 
-SIGNS = tuple(product((1.0, -1.0), repeat=3))
+Signs = tuple[float, float, float]
+
+SIGNS: tuple[Signs, ...] = tuple((x, y, z) for x, y, z in product((1.0, -1.0), repeat=3))
 
 
 @dataclass(frozen=True)
 class Normals:
-    """How far stored normals are from the slopes of depth: mean angle in degrees for each space and sign of the axes."""
+    """How far stored normals are from the slopes of depth: mean angle in degrees by space and sign of the axes."""
 
     encoded: bool
     plain_share: float
     encoded_share: float
     """Share of the pixels that hold a unit vector as they are, and as n / 2 + 1/2."""
-    angles: Mapping[tuple[str, tuple[float, float, float]], float]
+    angles: Mapping[tuple[str, Signs], float]
     free: Mapping[str, float]
     """Mean cosine after the best rotation of the world: `proper`, and `mirrored`, with one axis turned around."""
     turning: float
@@ -49,7 +51,7 @@ def normals_of(take: Take, depths: Mapping[int, np.ndarray], tangent: float) -> 
         return None
     plain_share, encoded_share = np.mean(shares, 0)
     encoded = bool(encoded_share > plain_share)
-    scores: dict[tuple[str, tuple[float, float, float]], list[float]] = {}
+    scores: dict[tuple[str, Signs], list[float]] = {}
     free: dict[str, list[float]] = {"proper": [], "mirrored": []}
     turning, count = [], 0
     for t, v, slopes, where in pairs:

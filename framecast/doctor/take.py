@@ -86,7 +86,8 @@ def load(source: Source) -> Take:
     """
     if len(source.numbers) < 2:
         raise ClipError(
-            f"{source.path} holds one frame; what vectors mean shows only between frames, give at least two, better eight"
+            f"{source.path} holds one frame; what vectors mean shows only between frames, give at "
+            "least two, better eight"
         )
     first = source.read(source.numbers[0], ("color",))["color"]
     size = first.shape[1:]

@@ -1,0 +1,398 @@
+"""How often the doctor is right: healthy clips, each corruption of their buffers alone, and random pairs of them.
+
+    python benchmarks/doctor.py CLIP... --out doctor.jsonl [--some 3] [--pairs 12] [--only NAME,...]
+
+Each clip is copied with one buffer stored in another convention (or two) and examined as if nothing were known.
+*right*: every corruption is named and nothing else is. *undecidable*: the doctor says that this cannot be told.
+*wrong*: anything else. Results are appended one line a run; the same call goes on where it was. `--table FILE` prints
+the table of docs/results/doctor.md.
+"""
+
+import argparse
+import json
+import random
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from framecast.clip import Clip, Layers, Record, finish, write_frame
+from framecast.color import to_display
+from framecast.doctor import examine
+from framecast.exr import ClipError
+from framecast.frame import SKY, camera_motion
+from framecast.importers import open_any
+from framecast.importers.encode import encode_depth
+from framecast.importers.settings import Depth
+from framecast.warp import nearest_neighbour, pick
+
+Frames = list[tuple[Record, Layers]]
+
+
+@dataclass(frozen=True)
+class Corruption:
+    """A change of all frames, and the codes of which one has to be among the findings."""
+
+    topic: str
+    codes: tuple[str, ...]
+    change: Callable[[Frames], Frames]
+    undecided: tuple[str, ...] = ()
+    """Codes that say that this cannot be told."""
+
+
+def vectors(change: Callable[[np.ndarray, int, Frames], np.ndarray]) -> Callable[[Frames], Frames]:
+    """Only the vectors are changed."""
+    return lambda frames: [
+        (r, {**layers, "motion": change(layers["motion"].astype(np.float32), i, frames)})
+        for i, (r, layers) in enumerate(frames)
+    ]
+
+
+def column(*values: float) -> np.ndarray:
+    return np.array(values, np.float32)[:, None, None]
+
+
+def ndc(v: np.ndarray, y: float = 1.0) -> np.ndarray:
+    return v / column(v.shape[2] / 2, y * v.shape[1] / 2)
+
+
+def unreal(v: np.ndarray, root: bool) -> np.ndarray:
+    n = -ndc(v, -1.0)
+    n = np.sign(n) * np.sqrt(2 * np.abs(n)) if root else n
+    return (n * 0.2495 + 32767 / 65535).astype(np.float32)
+
+
+def camera_part(frames: Frames, i: int) -> np.ndarray:
+    """What the cameras alone do between a frame and the one before."""
+    from framecast.importers.decode import _bare
+
+    (here, layers), (before, _) = frames[i], frames[max(i - 1, 0)]
+    depth = layers["depth"].astype(np.float32)
+    if here.view is None or before.view is None:
+        return np.zeros_like(layers["motion"], np.float32)
+    return camera_motion(_bare(here, depth), _bare(before, depth))[0].numpy()
+
+
+def without_camera(v: np.ndarray, i: int, frames: Frames) -> np.ndarray:
+    rest = v - camera_part(frames, i)
+    return np.where(np.abs(rest).max(0) < 0.02, 0, rest).astype(np.float32)
+
+
+def unwritten(v: np.ndarray, i: int, frames: Frames) -> np.ndarray:
+    return np.where(np.abs(v - camera_part(frames, i)).max(0) < 0.02, 0, v).astype(np.float32)
+
+
+def shaken(v: np.ndarray, i: int, frames: Frames) -> np.ndarray:
+    step = np.subtract(frames[i][0].jitter, frames[max(i - 1, 0)][0].jitter)
+    return v + column(*step)
+
+
+def dilated(v: np.ndarray, i: int, frames: Frames) -> np.ndarray:
+    depth = torch.from_numpy(frames[i][1]["depth"].astype(np.float32))[None]
+    return pick(torch.from_numpy(v)[None], nearest_neighbour(depth))[0].numpy()
+
+
+def averaged(v: np.ndarray, i: int, frames: Frames) -> np.ndarray:
+    return F.avg_pool2d(torch.from_numpy(v)[None], 3, 1, 1, count_include_pad=False)[0].numpy()
+
+
+def moved(steps: int) -> Callable[[Frames], Frames]:
+    """Each file holds the vectors of the frame `steps` later."""
+    return vectors(lambda v, i, frames: frames[min(max(i + steps, 0), len(frames) - 1)][1]["motion"])
+
+
+def depths(**kind: object) -> Callable[[Frames], Frames]:
+    def change(frames: Frames) -> Frames:
+        about = Depth(files=("x",), channels=("Z",), **kind)  # type: ignore[arg-type]
+        return [
+            (r, {**a, "depth": encode_depth(a["depth"], about, r.projection).astype(np.float32)}) for r, a in frames
+        ]
+
+    return change
+
+
+def scaled_depth(a: np.ndarray) -> np.ndarray:
+    return np.where(a >= SKY * 0.99, SKY, np.minimum(a * 100, SKY * 0.98)).astype(np.float32)
+
+
+def eight_bits(a: np.ndarray) -> np.ndarray:
+    top = float(np.quantile(a[a < SKY * 0.99], 0.99))
+    return (np.rint(np.clip(a / top, 0, 1) * 255) / 255).astype(np.float32)
+
+
+def only(name: str, change: Callable[[np.ndarray, Record, int], np.ndarray]) -> Callable[[Frames], Frames]:
+    return lambda frames: [
+        (r, {**a, name: change(a[name].astype(np.float32), r, i)} if name in a else a)
+        for i, (r, a) in enumerate(frames)
+    ]
+
+
+def recorded(change: Callable[[tuple[float, float]], tuple[float, float]]) -> Callable[[Frames], Frames]:
+    return lambda frames: [(replace(r, jitter=change(r.jitter)), a) for r, a in frames]
+
+
+def in_view(n: np.ndarray, r: Record, _: int) -> np.ndarray:
+    return np.einsum("ij,jhw->ihw", np.asarray(r.view)[:3, :3], n) if r.view is not None else n
+
+
+def flicker(c: np.ndarray, _: Record, i: int) -> np.ndarray:
+    return c * np.float32(1 + 0.15 * np.sin(2.1 * i))
+
+
+def spliced(frames: Frames) -> Frames:
+    """The second half shows another place: the picture turned by half a turn, its vectors with it."""
+    half = len(frames) // 2
+    return frames[:half] + [(replace(r, view=None, projection=None), _turned(a)) for r, a in frames[half:]]
+
+
+def _turned(a: Layers) -> Layers:
+    return {k: np.ascontiguousarray(v[:, ::-1, ::-1] * (-1 if k.startswith("motion") else 1)) for k, v in a.items()}
+
+
+def dropped(frames: Frames) -> Frames:
+    """One frame in the middle is missing, and the rest renumbered."""
+    gone = len(frames) // 2
+    kept = [f for i, f in enumerate(frames) if i != gone]
+    first = frames[0][0].number
+    return [(replace(r, number=first + i, time=float(i)), a) for i, (r, a) in enumerate(kept)]
+
+
+def repeated(frames: Frames) -> Frames:
+    middle = len(frames) // 2
+    return [(r, {**a, "color": frames[i - 1][1]["color"]} if i == middle else a) for i, (r, a) in enumerate(frames)]
+
+
+def padded(frames: Frames) -> Frames:
+    return [(r, {k: np.pad(v, ((0, 0), (0, 8), (0, 8))) for k, v in a.items()}) for r, a in frames]
+
+
+def last_turned(v: np.ndarray, i: int, frames: Frames) -> np.ndarray:
+    return -v if i == len(frames) - 1 else v
+
+
+NO_MOTION, NO_DEPTH = ("motion", "motion.open"), ("depth.open",)
+
+CORRUPTIONS: dict[str, Corruption] = {
+    "sign": Corruption("motion", ("motion.sign", "motion.time"), vectors(lambda v, i, f: -v), NO_MOTION),
+    "y flip": Corruption("motion", ("motion.y",), vectors(lambda v, i, f: v * column(1, -1)), NO_MOTION),
+    "x flip": Corruption("motion", ("motion.x",), vectors(lambda v, i, f: v * column(-1, 1)), NO_MOTION),
+    "half length": Corruption("motion", ("motion.length",), vectors(lambda v, i, f: v / 2), NO_MOTION),
+    "double length": Corruption("motion", ("motion.length",), vectors(lambda v, i, f: v * 2), NO_MOTION),
+    "UV": Corruption("motion", ("motion.unit",), vectors(lambda v, i, f: ndc(v) / 2), NO_MOTION),
+    "NDC": Corruption("motion", ("motion.unit",), vectors(lambda v, i, f: ndc(v)), NO_MOTION),
+    "code 0.5": Corruption("motion", ("motion.code",), vectors(lambda v, i, f: ndc(v) / 2 + 0.5), NO_MOTION),
+    "Unreal code": Corruption("motion", ("motion.code",), vectors(lambda v, i, f: unreal(v, False)), NO_MOTION),
+    "Unreal root": Corruption("motion", ("motion.code",), vectors(lambda v, i, f: unreal(v, True)), NO_MOTION),
+    "no camera": Corruption("camera", ("motion.camera",), vectors(without_camera), NO_MOTION),
+    "unwritten": Corruption("camera", ("motion.unwritten",), vectors(unwritten), NO_MOTION),
+    "averaged": Corruption("edges", ("motion.averaged",), vectors(averaged)),
+    "dilated": Corruption("edges", ("motion.dilated",), vectors(dilated)),
+    "half floats": Corruption(
+        "grain", ("motion.half",), vectors(lambda v, i, f: v.astype(np.float16).astype(np.float32))
+    ),
+    "jitter inside": Corruption("jitter", ("motion.jittered",), vectors(shaken), ("motion.open",)),
+    "to the next": Corruption(
+        "motion", ("motion.time", "motion.sign"), vectors(lambda v, i, f: f[i][1].get("motion_next", v)), NO_MOTION
+    ),
+    "last turned": Corruption("last", ("motion.turned",), vectors(last_turned), NO_MOTION),
+    "a frame early": Corruption("offset", ("motion.offset",), moved(1), NO_MOTION),
+    "a frame late": Corruption("offset", ("motion.offset",), moved(-1), NO_MOTION),
+    "Euclidean": Corruption("depth", ("depth.kind",), depths(kind="euclidean"), NO_DEPTH),
+    "device": Corruption("depth", ("depth.kind",), depths(kind="device", near=0.1, far=1000.0), NO_DEPTH),
+    "reversed": Corruption("depth", ("depth.kind",), depths(kind="reversed", near=0.1), NO_DEPTH),
+    "inverse": Corruption("depth", ("depth.kind",), depths(kind="inverse"), NO_DEPTH),
+    "unit": Corruption("depth", ("depth.kind", "depth.scale"), depths(kind="unit", near=0.0, far=500.0), NO_DEPTH),
+    "centimetres": Corruption("depth", ("depth.scale",), only("depth", lambda z, r, i: scaled_depth(z)), NO_DEPTH),
+    "8-bit depth": Corruption("depth", ("depth.bits",), only("depth", lambda z, r, i: eight_bits(z))),
+    "jitter sign": Corruption("jitter", ("jitter.sign",), recorded(lambda j: (-j[0], -j[1]))),
+    "jitter y": Corruption("jitter", ("jitter.sign",), recorded(lambda j: (j[0], -j[1]))),
+    "jitter lost": Corruption("jitter", ("jitter.unrecorded",), recorded(lambda j: (0.0, 0.0))),
+    "view normals": Corruption("normal", ("normal.space",), only("normal", in_view), ("normal.open",)),
+    "normals y": Corruption("normal", ("normal.sign",), only("normal", lambda n, r, i: n * column(1, -1, 1))),
+    "normals 0..1": Corruption("normal", ("normal.encoded",), only("normal", lambda n, r, i: n / 2 + 0.5)),
+    "display colour": Corruption(
+        "color",
+        ("color.encoding",),
+        only("color", lambda c, r, i: to_display(torch.from_numpy(c)).numpy()),
+        ("color.open",),
+    ),
+    "exposure": Corruption("color", ("color.exposure",), only("color", flicker)),
+    "cut": Corruption("frames", ("frames.cut",), spliced),
+    "frame missing": Corruption("frames", ("frames.skipped",), dropped, NO_MOTION),
+    "frame repeated": Corruption("frames", ("frames.repeated",), repeated),
+    "padded": Corruption("size", ("frames.padded",), padded),
+}
+
+
+def frames_of(clip: Clip) -> Frames:
+    return [(record, clip.load(record)) for record in clip.records]
+
+
+def write(folder: Path, frames: Frames, span: float | None, provenance: dict[str, object]) -> None:
+    for record, layers in frames:
+        kept = {k: v for k, v in layers.items() if k in ("color", "depth", "motion", "albedo", "normal", "object")}
+        write_frame(folder, record, kept, half=frozenset({"color"}))
+    finish(folder, fps=24, span=span, provenance=provenance)
+
+
+def same(a: Frames, b: Frames) -> bool:
+    """Whether a corruption changed nothing that matters (vectors by less than a tenth of a pixel)."""
+    if len(a) != len(b):
+        return False
+    for (r, x), (s, y) in zip(a, b, strict=True):
+        if r.jitter != s.jitter or x.keys() != y.keys():
+            return False
+        for name in x:
+            if x[name].shape != y[name].shape:
+                return False
+            far = np.abs(x[name].astype(np.float32) - y[name].astype(np.float32)).max(0) > (
+                1e-1 if name == "motion" else 0
+            )
+            if far.mean() > 0.01:
+                return False
+    return True
+
+
+def judged(codes: Counter[str], unknown: set[str], applied: Sequence[Corruption]) -> str:
+    """right, undecidable or wrong."""
+    fixed = set(codes)
+    named = [fixed & set(c.codes) for c in applied]
+    extra = fixed - {code for c in applied for code in c.codes}
+    if all(named) and not extra:
+        return "right"
+    open_ = all(n or unknown & set(c.undecided) for n, c in zip(named, applied, strict=True))
+    return "undecidable" if open_ and not extra else "wrong"
+
+
+def run(clip: Clip, names: Sequence[str]) -> dict[str, object] | None:
+    """One folder, examined; None where the corruptions change nothing."""
+    plain = frames_of(clip)
+    frames = plain
+    for name in names:
+        changed = CORRUPTIONS[name].change(frames)
+        if name != "half floats" and same(frames, changed):
+            return None
+        frames = changed
+    source = str(clip.provenance.get("source", ""))
+    blender = "Blender" if "Blender" in source or clip.provenance.get("software") else ""
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder) / "clip", frames, clip.span, {"source": blender})
+        began = time.process_time()
+        try:
+            report = examine(Path(folder) / "clip").report
+        except ClipError as error:
+            return {"clip": clip.path.name, "names": list(names), "result": "wrong", "error": str(error)}
+        seconds = time.process_time() - began
+    codes = Counter(f.code for f in report.findings if f.state == "fix")
+    noted = {f.code for f in report.findings if f.state == "note"}
+    unknown = {f.code for f in report.findings if f.state == "unknown"}
+    applied = [CORRUPTIONS[n] for n in names]
+    codes.update({c for a in applied for c in a.codes if c in noted})  # a note that names it counts
+    result = judged(codes, unknown, applied)
+    return {
+        "clip": clip.path.name, "names": list(names), "result": result, "fix": sorted(codes), "unknown": sorted(unknown),
+        "verdict": report.verdict, "seconds": round(seconds, 1),
+    }  # fmt: skip
+
+
+def plan(clips: Sequence[Clip], some: int, pairs: int) -> list[tuple[Clip, tuple[str, ...]]]:
+    """Healthy, alone (each on `some` clips in turn), and for each clip some pairs of different topics; always the same."""
+    todo: list[tuple[Clip, tuple[str, ...]]] = [(clip, ()) for clip in clips]
+    for turn in range(min(some, len(clips))):
+        for place, name in enumerate(CORRUPTIONS):
+            able = [clip for clip in clips if possible(clip, (name,))]
+            todo += (
+                [(able[(place + turn * max(len(able) // some, 1)) % len(able)], (name,))] if turn < len(able) else []
+            )
+    for clip in clips:
+        chance = random.Random(clip.path.name)
+        every = [
+            (a, b) for a in CORRUPTIONS for b in CORRUPTIONS if a < b and CORRUPTIONS[a].topic != CORRUPTIONS[b].topic
+        ]
+        todo += [(clip, tuple(sorted(pair, key=order))) for pair in chance.sample(every, pairs)]
+    return todo
+
+
+LATE = ("camera", "edges", "jitter", "offset", "last", "motion", "grain", "frames", "size")
+"""Corruptions that change pixels vectors point at come before those that change how vectors are written."""
+
+
+def order(name: str) -> int:
+    topic = CORRUPTIONS[name].topic
+    return LATE.index(topic) if topic in LATE else -1
+
+
+def possible(clip: Clip, names: Sequence[str]) -> bool:
+    """Whether the clip has what the corruptions change."""
+    have = {*clip.layers}
+    needs = {"normal": "normal", "depth": "depth", "edges": "depth", "offset": "depth"}
+    if any(CORRUPTIONS[n].topic in needs and needs[CORRUPTIONS[n].topic] not in have for n in names):
+        return False
+    jittered = any(max(map(abs, r.jitter)) > 0 for r in clip.records)
+    return jittered or all(CORRUPTIONS[n].topic != "jitter" for n in names)
+
+
+def table(path: Path) -> str:
+    """The results as Markdown."""
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    rows = [row for row in rows if row.get("result")]
+    out = ["| corruption | right | undecidable | wrong | wrong on |", "|---|---|---|---|---|"]
+    groups: dict[str, list[dict[str, object]]] = {}
+    for row in rows:
+        names = row["names"]
+        groups.setdefault("healthy" if not names else names[0] if len(names) == 1 else "pairs", []).append(row)
+    groups["all alone"] = [row for row in rows if len(row["names"]) == 1]
+    for label in ["healthy", *CORRUPTIONS, "all alone", "pairs"]:
+        if label in groups:
+            count = Counter(str(row["result"]) for row in groups[label])
+            bad = [
+                f"{row['clip']} ({' + '.join(row['names'])})" if label == "pairs" else row["clip"]
+                for row in groups[label]
+                if row["result"] == "wrong"
+            ]  # type: ignore[arg-type]
+            shown = "" if label == "all alone" else ", ".join(map(str, bad))
+            out.append(f"| {label} | {count['right']} | {count['undecidable']} | {count['wrong']} | {shown} |")
+    return "\n".join(out)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("clips", nargs="*", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("doctor.jsonl"))
+    parser.add_argument("--some", type=int, default=100)
+    parser.add_argument("--pairs", type=int, default=12)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--table", type=Path)
+    asked = parser.parse_args()
+    if asked.table:
+        print(table(asked.table))
+        return
+    torch.set_num_threads(1)
+    clips = [open_any(path) for path in asked.clips]
+    done = (
+        {(r["clip"], tuple(r["names"])) for r in map(json.loads, asked.out.read_text().splitlines())}
+        if asked.out.is_file()
+        else set()
+    )
+    wanted = set(filter(None, asked.only.split(",")))
+    for clip, names in plan(clips, asked.some, asked.pairs):
+        if (
+            (clip.path.name, names) in done
+            or not possible(clip, names)
+            or (wanted and not wanted & {*names, "+".join(names)})
+        ):
+            continue
+        row = run(clip, names) or {"clip": clip.path.name, "names": list(names), "result": ""}
+        with asked.out.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        print(json.dumps(row), flush=True)
+
+
+if __name__ == "__main__":
+    main()

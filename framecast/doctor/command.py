@@ -1,0 +1,36 @@
+"""The command `framecast doctor`."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from framecast.doctor import draw, examine
+from framecast.importers.settings import NAME, write_settings
+
+Out = Annotated[Path, arg(aliases=["-o"])]
+
+
+def command(
+    folder: Positional[Path], out: Out = Path("doctor-out"), json_: Annotated[bool, arg(name="json")] = False
+) -> int:
+    """Find out by experiment what the buffers of a folder mean, and what is wrong with them.
+
+    Looks at any folder of numbered EXR, PNG or array files, clips and Blender shots among them. Says what it found,
+    and ends with 0 (healthy), 1 (something to fix, or undecidable) or 2 (not readable).
+
+    Args:
+        folder: the folder to examine.
+        out: folder for doctor.png (before and after) and framecast-import.json (how to import what was found);
+            those of an earlier run are replaced.
+        json_: print what was found for machines.
+    """
+    examined = examine(folder)
+    report = examined.report
+    picture = draw(examined, out / "doctor.png")
+    settings = write_settings(report.settings, out / NAME)
+    report = replace(report, written=(str(picture), str(settings)))
+    print(json.dumps(report.json(), indent=1) if json_ else report.text())
+    return int(report.verdict != "healthy")
