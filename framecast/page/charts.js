@@ -108,7 +108,7 @@ function drawLegend() {
 /** Quality against milliseconds of every method, with the line of those that nothing beats in both. */
 function drawScatter() {
   const box = document.getElementById("scatter"), width = box.clientWidth, height = Math.min(380, Math.max(260, width * 0.5));
-  const margin = { left: 56, right: 20, top: 18, bottom: 40 };
+  const margin = { left: 56, right: 20, top: 26, bottom: 40 };
   const points = scatterPoints();
   box.replaceChildren();
   if (!points.length) {
@@ -130,7 +130,7 @@ function drawScatter() {
       element("text", { x: x(ms), y: height - margin.bottom + 18, "text-anchor": "middle" }, String(ms)));
   }
   chart.append(element("text", { class: "axis", x: width - margin.right, y: height - 4, "text-anchor": "end" }, "milliseconds for a frame"),
-    element("text", { class: "axis", x: 4, y: 12 }, `${named(state.metric)}, ${better(state.metric)}`));
+    element("text", { class: "axis", x: 4, y: 13 }, `${named(state.metric)}, ${better(state.metric)}`));
   const front = frontOf(points);
   if (front.length > 1) chart.append(element("path", { class: "front", d: front.map((p, i) => `${i ? "L" : "M"}${x(p.ms)},${y(p.value)}`).join("") }));
   placedLabels(points, x, y, width).forEach(({ point, at }) => {

@@ -58,6 +58,7 @@ function controls() {
   $("region").value = state.region;
   for (const radio of document.getElementsByName("view")) radio.checked = radio.value === state.view;
   for (const part of document.querySelectorAll("[data-for]")) part.hidden = !part.dataset.for.split(" ").includes(state.view);
+  $("wipe").parentElement.hidden = !overlaid();
   $("scrubber").value = state.frame;
   $("scrubber").setAttribute("aria-valuetext", `frame ${frame.number}, ${frame.role}`);
   $("where").textContent = `frame ${frame.number} · ${frame.role} · ${seconds(state.frame)}`;

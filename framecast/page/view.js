@@ -4,6 +4,7 @@ const VIEWS = {
   wipe: "Wipe", side: "Side by side", all: "All", flicker: "Flicker", difference: "Difference", flip: "FLIP", slice: "x–t slice",
 };
 const REFERENCE = "reference";
+const NARROW = 640; // width of the page below which the slices stand under the picture, not beside it
 const NUMBERS_FROM = 42; // device-independent pixels for one image pixel, from which values fit into it
 
 const state = {
@@ -65,7 +66,9 @@ const overlaid = () => state.view === "wipe" || (state.view === "flip" && tiles(
 /** Columns, rows and tile size that show `count` images largest, in device pixels. */
 function layout(count) {
   const [height, width] = run().size, density = devicePixelRatio || 1;
-  const room = stage.parentElement.clientWidth, cap = Math.max(240, innerHeight * (state.view === "all" ? 0.85 : 0.66));
+  const room = stage.parentElement.clientWidth;
+  if (state.view === "slice" && room < NARROW) return { columns: 1, rows: 1, w: Math.floor(room * density), h: Math.floor(1.25 * room * density) };
+  const cap = Math.max(240, innerHeight * (state.view === "all" ? 0.85 : 0.66));
   let best = { scale: 0 };
   for (let columns = count; columns >= 1; columns--) { // rather columns than rows, where it makes little difference
     const rows = Math.ceil(count / columns), h = Math.min((room / columns / width) * height, cap / rows), scale = h / height;
@@ -209,7 +212,7 @@ function sliceTiles() {
 
 /** Parts of the stage: the frame above (or left of) the slices. */
 function sliceShape(count) {
-  const [height, width] = run().size, wide = stage.width > 1.3 * stage.height && stage.width > 700;
+  const [height, width] = run().size, wide = stage.width >= NARROW * (devicePixelRatio || 1);
   const frame = wide ? { w: Math.round(stage.width * 0.42), h: stage.height } : { w: stage.width, h: Math.round(stage.height * 0.4) };
   const scale = Math.min(frame.w / width, frame.h / height);
   const room = wide ? { x: frame.w, y: 0, w: stage.width - frame.w, h: stage.height } : { x: 0, y: frame.h, w: stage.width, h: stage.height - frame.h };
