@@ -32,7 +32,7 @@ from torch import Tensor, nn
 from framecast.color import decode_srgb, encode_srgb, tonemap
 from framecast.frame import Frame
 from framecast.methods.nsrr import WHITE, decoded, difference, encoded, nearness, place, positions
-from framecast.methods.reproject import steps
+from framecast.methods.reproject import chosen, steps
 from framecast.recipe import Recipe
 from framecast.resample import enlarge, enlarged_motion, foreground, lanczos, size_at
 from framecast.warp import inside
@@ -170,7 +170,8 @@ def moved(
 ) -> tuple[Float[Tensor, "b 4 H W"], Float[Tensor, "b 1 H W"]]:
     """The last image where the frame shows its content, and 1 where there was any."""
     assert frame.depth is not None
-    _, motion = foreground(frame.depth, steps(frame, state.time, frame.jitter))
+    motion = steps(frame, state.time, frame.jitter)
+    _, motion = foreground(frame.depth, chosen(frame.reset, torch.zeros_like(motion), motion))
     motion = enlarged_motion(motion, size, frame.jitter)
     known = inside(motion) & (state.known & ~frame.reset)[:, None, None, None]
     across = torch.tensor([2 / size[1], 2 / size[0]], device=motion.device)

@@ -31,7 +31,7 @@ from torch import Tensor, nn
 
 from framecast.color import decode_srgb, encode_srgb, tonemap, untonemap
 from framecast.frame import SKY, Frame
-from framecast.methods.reproject import steps
+from framecast.methods.reproject import chosen, steps
 from framecast.nets import padded
 from framecast.recipe import Recipe
 from framecast.resample import enlarge, lanczos, nearest_sample, size_at
@@ -189,6 +189,7 @@ class NSRR(nn.Module):
         assert frame.depth is not None
         newest = state.past[0]
         motion = steps(frame, newest.time, newest.jitter)
+        motion = chosen(frame.reset, torch.zeros_like(motion), motion)
         reached = [motion]
         for past in state.past[1:]:
             spans = (frame.time - newest.time, newest.time - past.time)
