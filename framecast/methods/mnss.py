@@ -117,7 +117,7 @@ class MNSS(nn.Module):
         self.second = block(8 + config.joint, config.inner, 3)
         with torch.no_grad():
             self.trust[2].bias.fill_(TRUST)  # type: ignore[operator]
-            self.smooth.weight.mul_(0.01)
+            nn.init.zeros_(self.smooth.weight)
             nn.init.zeros_(self.smooth.bias)  # type: ignore[arg-type]
             for c in range(3):
                 self.smooth.weight[c, c, 1, 1] += FRESH
