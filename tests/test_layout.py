@@ -19,6 +19,7 @@ LEVELS = {
     "warp": 1,
     "packing": 1,
     "resample": 1,
+    "table": 1,
     "nets": 1,
     "weights": 1,
     "recipe": 1,

@@ -91,7 +91,7 @@ def test_documented_and_declared(name: str) -> None:
         assert word in text, f"{name} does not say {word}"
     assert set(method.needs) | set(method.needs_generated) <= set(EVERYTHING)
     assert method.modes
-    assert set(method.modes) <= {"interpolate", "extrapolate"}
+    assert set(method.modes) <= {"interpolate", "extrapolate", "pass"}
     assert method.history is None or method.history >= 1
     assert isinstance(method.step_motion, bool)
 

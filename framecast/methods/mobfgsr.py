@@ -27,9 +27,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from framecast.color import luminance, to_display
+from framecast.color import luminance, to_display, tonemap, untonemap
 from framecast.frame import Frame
+from framecast.methods import mobfgsr_sr as sr
 from framecast.methods.pair import Pair, advance, begin
+from framecast.resample import enlarged_motion, nearest_sample
+from framecast.table import resample, shipped_table
 from framecast.warp import (
     EMPTY,
     Trajectory,
@@ -42,7 +45,6 @@ from framecast.warp import (
     pick,
     splat,
     trajectory,
-    warp,
 )
 
 
@@ -60,55 +62,95 @@ class Config:
     """T_D of Eq. 1 as a part of the depth: beyond it only the farther, newly revealed side is used."""
     brightness_threshold: float = 0.0
     """T_B of Eq. 1 in display luminance: up to it the frame nearer in time is taken alone. 0: always mix."""
+    scale: float = 1.0
+    """Size of the images divided by that of the frames; 1: shaded frames pass through."""
+    blend: float = 0.5
+    """a of Eq. 2: what a sample counts against the history that lies on the centre of a pixel."""
+    falloff: float = 1.5
+    """b of Eq. 2: how much less it counts for each small pixel that it lies away."""
+
+
+State = Pair | sr.Enlarging
 
 
 class MobFGSR(nn.Module):
-    """Interpolation between the last two shaded frames, or extrapolation beyond the last one, by the time asked for."""
+    """Interpolation between the last two shaded frames, or extrapolation beyond the last one, by the time asked for;
+    built for a scale, larger images of these and of the shaded frames."""
 
     needs = ("color", "depth", "motion")
     needs_generated: tuple[str, ...] = ()
-    modes = ("interpolate", "extrapolate")
-    scales: tuple[float, ...] = (1.0,)
+    modes = ("interpolate", "extrapolate", "pass")
+    scales: tuple[float, ...] = (1.0, 1.5, 2.0, 3.0)
     parts = ("shade", "interpolate", "extrapolate")
-    history = 3
+    table: Tensor
 
     def __init__(self, config: Config = Config()) -> None:
         super().__init__()
         self.config = config
-        self.step_motion = config.motion == "true"
-        self.keeps = (*self.needs, "motion_next") if self.step_motion else self.needs
+        self.enlarges = config.scale > 1
+        self.history = None if self.enlarges else 3
+        # A history needs exact vectors between shaded frames more than generated frames need those halfway.
+        self.step_motion = config.motion == "true" and not self.enlarges
+        buffers = ("depth", "motion") if self.enlarges else self.needs
+        self.keeps = (*buffers, "motion_next") if config.motion == "true" else buffers
+        self.register_buffer("table", shipped_table(), persistent=False)
 
-    def start(self, frame: Frame) -> Pair:
+    def start(self, frame: Frame) -> State:
         """State before the first frame: nothing but that frame."""
-        return begin(self.prepared(frame), self.keeps)
+        pair = begin(self.prepared(frame), self.keeps)
+        return sr.begin(pair, self.samples(frame)) if self.enlarges else pair
 
-    def forward(self, frame: Frame, state: Pair) -> tuple[Float[Tensor, "b 3 h w"], Pair]:
-        """A shaded frame passes through and enters the state; for others the image at `frame.time` is made.
+    def forward(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 H W"], State]:
+        """A shaded frame passes through, or is enlarged, and enters the state; for others the image at `frame.time`.
 
         Images are linear and at least 0. Where no frame shows a pixel's surface, the older frame's background is
         taken (interpolation), or the newest frame's surroundings (extrapolation).
         """
         if frame.color is not None:
-            return frame.color, self.shade(frame, state)
-        if bool((frame.time > state.current.time).all()):
+            state = self.shade(frame, state)
+            return (frame.color if isinstance(state, Pair) else untonemap(state.image)), state
+        if bool((frame.time > pair_of(state).current.time).all()):
             return self.extrapolate(state, frame.time), state
         return self.interpolate(state, frame.time), state
 
-    def shade(self, frame: Frame, state: Pair) -> Pair:
+    def shade(self, frame: Frame, state: State) -> State:
         """The state after a shaded frame."""
-        return advance(self.prepared(frame), state, self.keeps)
+        pair = advance(self.prepared(frame), pair_of(state), self.keeps)
+        if isinstance(state, Pair):
+            return pair
+        back = path(pair.current, pair.prev).displacement(pair.prev.time - pair.current.time)
+        config = self.config
+        now = self.samples(frame)
+        return sr.advance(state, pair, now, back, self.table, config.blend, config.depth_threshold)
+
+    def samples(self, frame: Frame) -> sr.Samples:
+        """A shaded frame on the pixels of the large image."""
+        return sr.samples(tonemap(present(frame.color)), frame.jitter, self.config.scale, self.config.falloff)
 
     def prepared(self, frame: Frame) -> Frame:
         """A shaded frame as it is kept."""
-        return dilated(frame) if self.config.dilate else frame
+        frame = dilated(frame) if self.config.dilate else frame
+        return replace(frame, color=tonemap(present(frame.color)))
 
-    def interpolate(self, state: Pair, time: Float[Tensor, " b"]) -> Float[Tensor, "b 3 h w"]:
+    def interpolate(self, state: State, time: Float[Tensor, " b"]) -> Float[Tensor, "b 3 H W"]:
         """The image at `time` between the two shaded frames."""
-        return interpolate(state, time, self.config)
+        sources = interpolate(pair_of(state), time, self.config)
+        if isinstance(state, Pair):
+            return blend(present(state.prev.color), present(state.current.color), sources, self.config, self.table)
+        sources = enlarged(sources, state.image)
+        return blend(state.before, state.image, sources, self.config, self.table)
 
-    def extrapolate(self, state: Pair, time: Float[Tensor, " b"]) -> Float[Tensor, "b 3 h w"]:
+    def extrapolate(self, state: State, time: Float[Tensor, " b"]) -> Float[Tensor, "b 3 H W"]:
         """The image at `time` after the newest shaded frame."""
-        return extrapolate(state, time, self.config)
+        source = extrapolate(pair_of(state), time, self.config)
+        if isinstance(state, Pair):
+            return untonemap(resample(present(state.current.color), source, self.table, bounded=True))
+        return untonemap(resample(state.image, scaled(source, state.image), self.table, bounded=True))
+
+
+def pair_of(state: State) -> Pair:
+    """The last two shaded frames."""
+    return state if isinstance(state, Pair) else state.pair
 
 
 def dilated(frame: Frame) -> Frame:
@@ -188,8 +230,20 @@ def arrivals(frame: Frame, moving: Trajectory, time: Tensor, other: Tensor, thre
     return Arrivals(key_depth(keys), -to_time, across - to_time)
 
 
-def interpolate(state: Pair, time: Float[Tensor, " b"], config: Config) -> Float[Tensor, "b 3 h w"]:
-    """The image at `time` between the two shaded frames."""
+@dataclass(frozen=True)
+class Sources:
+    """Where each pixel of an interpolated image comes from."""
+
+    to_previous: Float[Tensor, "b 2 h w"]
+    """From the pixel to its place in the previous shaded frame."""
+    to_current: Float[Tensor, "b 2 h w"]
+    """From the pixel to its place in the current one."""
+    weight: Float[Tensor, "b 1 h w"]
+    """How much of the current one is taken: 0 and 1 where only one of them shows the surface, else by time."""
+
+
+def interpolate(state: Pair, time: Float[Tensor, " b"], config: Config) -> Sources:
+    """Sources of the image at `time` between the two shaded frames."""
     previous, current = state.prev, state.current
     late = arrivals(current, path(current, previous), time, previous.time, config.gap_threshold)
     depth, to_previous, to_current = late.depth, late.to_other, late.to_own
@@ -207,36 +261,46 @@ def interpolate(state: Pair, time: Float[Tensor, " b"], config: Config) -> Float
     to_current = torch.where(landed, to_current, speed * _wide(current.time - time))
     to_previous = torch.where(landed, to_previous, speed * _wide(previous.time - time))
     alpha = (time - previous.time) / (current.time - previous.time).clamp(min=1e-6)
-    return blend(state, to_previous, to_current, alpha, config)
+    return Sources(to_previous, to_current, visible(state, to_previous, to_current, alpha, config.depth_threshold))
 
 
-def blend(
+def visible(
     state: Pair,
     to_previous: Float[Tensor, "b 2 h w"],
     to_current: Float[Tensor, "b 2 h w"],
     alpha: Float[Tensor, " b"],
-    config: Config,
-) -> Float[Tensor, "b 3 h w"]:
-    """Eq. 1: both frames warped and chosen from by depth and brightness; `alpha` is 0 at the previous frame."""
-    previous, current = state.prev, state.current
-    before, after = warp(present(previous.color), to_previous), warp(present(current.color), to_current)
-    depth_before = fetch(present(previous.depth), to_previous)
-    depth_after = fetch(present(current.depth), to_current)
+    threshold: float,
+) -> Float[Tensor, "b 1 h w"]:
+    """Eq. 1 as far as depth decides: the weight of the current frame; `alpha`, 0 at the previous one, where both show
+    the surface."""
+    depth_before = fetch(present(state.prev.depth), to_previous)
+    depth_after = fetch(present(state.current.depth), to_current)
     seen_before, seen_after = inside(to_previous), inside(to_current)
-    ratio = 1 + config.depth_threshold
-    only_before = seen_before & ((depth_before > depth_after * ratio) | ~seen_after)
-    only_after = seen_after & ((depth_after > depth_before * ratio) | ~seen_before)
-    weight = _wide(alpha).expand_as(depth_after)
+    only_before = seen_before & ((depth_before > depth_after * (1 + threshold)) | ~seen_after)
+    only_after = seen_after & ((depth_after > depth_before * (1 + threshold)) | ~seen_before)
+    return torch.where(only_before, 0.0, torch.where(only_after, 1.0, _wide(alpha).expand_as(depth_after)))
+
+
+def blend(
+    previous: Float[Tensor, "b 3 H W"],
+    current: Float[Tensor, "b 3 H W"],
+    sources: Sources,
+    config: Config,
+    table: Float[Tensor, "32 32 16"],
+) -> Float[Tensor, "b 3 H W"]:
+    """Eq. 1: both compressed images warped and mixed; the linear image."""
+    before = resample(previous, sources.to_previous, table, bounded=True)
+    after = resample(current, sources.to_current, table, bounded=True)
+    weight = sources.weight
     if config.brightness_threshold > 0:
-        change = luminance(to_display(after)) - luminance(to_display(before))
-        alike = change.abs() <= config.brightness_threshold
+        change = luminance(to_display(untonemap(after))) - luminance(to_display(untonemap(before)))
+        alike = (change.abs() <= config.brightness_threshold) & (weight > 0) & (weight < 1)
         weight = torch.where(alike, (weight > 0.5).to(weight.dtype), weight)
-    weight = torch.where(only_before, 0.0, torch.where(only_after, 1.0, weight))
-    return before + weight * (after - before)
+    return untonemap(before + weight * (after - before))
 
 
-def extrapolate(state: Pair, time: Float[Tensor, " b"], config: Config) -> Float[Tensor, "b 3 h w"]:
-    """The image at `time` after the newest shaded frame, from that frame alone (section 3.4)."""
+def extrapolate(state: Pair, time: Float[Tensor, " b"], config: Config) -> Float[Tensor, "b 2 h w"]:
+    """From each pixel at `time` after the newest shaded frame to its place in that frame (section 3.4)."""
     current, depth = state.current, present(state.current.depth)
     later = time - current.time
     moving = path(current, state.prev)
@@ -247,4 +311,21 @@ def extrapolate(state: Pair, time: Float[Tensor, " b"], config: Config) -> Float
     straight = -moving.velocity * _wide(later)
     background = fetch(depth, straight) >= depth * (1 - config.gap_threshold)
     filled = torch.where(background, straight, 0.0)
-    return warp(present(current.color), torch.where((keys != EMPTY)[:, None], back, filled))
+    return torch.where((keys != EMPTY)[:, None], back, filled)
+
+
+def enlarged(sources: Sources, image: Float[Tensor, "b 3 H W"]) -> Sources:
+    """Sources at the size of an image."""
+    size = (image.shape[-2], image.shape[-1])
+    index = nearest_sample((sources.weight.shape[-2], sources.weight.shape[-1]), size, sources.weight.new_zeros(1, 2))
+    return Sources(
+        scaled(sources.to_previous, image),
+        scaled(sources.to_current, image),
+        pick(sources.weight, index.expand(len(image), -1, -1)),
+    )
+
+
+def scaled(field: Float[Tensor, "b 2 h w"], image: Float[Tensor, "b 3 H W"]) -> Float[Tensor, "b 2 H W"]:
+    """Vectors at the size of an image."""
+    size = (image.shape[-2], image.shape[-1])
+    return enlarged_motion(field, size, torch.zeros(len(image), 2, device=image.device))

@@ -1,0 +1,123 @@
+"""Super-resolution of Mob-FGSR (section 3.5): a large history, warped by table, rectified, blended with samples.
+
+Images of the history are compressed (`color.tonemap`) and lie on the pixels of the large image; vectors, depth and
+what is decided from them stay small and are read at the sample nearest to each large pixel.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from framecast.methods.pair import Pair
+from framecast.resample import Box, catmull_rom, enlarge, enlarged_motion, nearest_sample, neighbourhood, size_at
+from framecast.table import LEVELS, resample
+from framecast.warp import disoccluded, fetch, inside, pick
+
+PATIENCE = 8
+"""Frames for which a still pixel may lie outside of its neighbourhood's colours before it is clamped: a wire thinner
+than a pixel is met by few of the jittered samples."""
+
+STILL = 64.0
+"""Samples' worth that a still history may weigh."""
+
+LEAST = 0.02
+"""Weight of the farthest sample, so that every pixel is made of something."""
+
+
+@dataclass(frozen=True)
+class Enlarging:
+    """State: the last two shaded frames, and their large images as far as they are known."""
+
+    pair: Pair
+    """Both frames as frame generation keeps them, without colour."""
+    before: Float[Tensor, "b 3 H W"]
+    """Image of the previous shaded frame, compressed."""
+    image: Float[Tensor, "b 3 H W"]
+    """Image of the current one, compressed."""
+    weight: Float[Tensor, "b 1 H W"]
+    """How many samples, each counted by how near it lay, the image is made of."""
+    missed: Float[Tensor, "b 1 H W"]
+    """Frames in a row in which a still pixel lay outside of its neighbourhood."""
+
+
+torch.export.register_dataclass(Enlarging)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """One shaded frame on the pixels of the large image."""
+
+    color: Float[Tensor, "b 3 h w"]
+    """As it was shaded, compressed."""
+    image: Float[Tensor, "b 3 H W"]
+    """Enlarged by itself, compressed."""
+    weight: Float[Tensor, "b 1 H W"]
+    """What its sample nearest to each pixel counts, at most 1."""
+    nearest: Int[Tensor, "b H W"]
+    """Index of that sample."""
+
+
+def samples(color: Float[Tensor, "b 3 h w"], jitter: Float[Tensor, "b 2"], scale: float, falloff: float) -> Samples:
+    """A shaded frame's compressed colour on large pixels, never beyond the colours around; the weight is the one of
+    Eq. 2, 1 - b d, with d the distance to the nearest sample in small pixels."""
+    small = (color.shape[-2], color.shape[-1])
+    size = size_at(small, scale)
+    nearest = nearest_sample(small, size, jitter)
+    image = within(neighbourhood(color), enlarge(color, size, jitter, catmull_rom).image, nearest)
+    x, y = _offset(small[1], size[1], jitter[:, 0])[:, None, :], _offset(small[0], size[0], jitter[:, 1])[:, :, None]
+    weight = (1 - falloff * (x * x + y * y).sqrt()).clamp(min=LEAST)
+    return Samples(color, image, weight[:, None], nearest)
+
+
+def within(box: Box, image: Float[Tensor, "b 3 H W"], nearest: Int[Tensor, "b H W"]) -> Float[Tensor, "b 3 H W"]:
+    """A large image clamped to the small pixels' boxes."""
+    return Box(pick(box.low, nearest), pick(box.high, nearest)).clamp(image)
+
+
+def _offset(small: int, large: int, jitter: Float[Tensor, " b"]) -> Float[Tensor, "b n"]:
+    """From each large pixel's centre to the nearest sample along one axis, in small pixels."""
+    position = (torch.arange(large, device=jitter.device) + 0.5) * (small / large) - 0.5 - jitter[:, None]
+    return (position + 0.5).floor() - position
+
+
+def begin(pair: Pair, first: Samples) -> Enlarging:
+    """The state before the first frame, which knows nothing yet: the frame enters when it is shaded."""
+    nothing = torch.zeros_like(first.weight)
+    return Enlarging(pair, first.image, first.image, nothing, nothing)
+
+
+def advance(
+    state: Enlarging,
+    pair: Pair,
+    now: Samples,
+    back: Float[Tensor, "b 2 h w"],
+    table: Float[Tensor, "32 32 16"],
+    blend: float,
+    depth_threshold: float,
+) -> Enlarging:
+    """The state after a shaded frame.
+
+    Args:
+        pair: of this frame and the one before; `back` leads from the first to the second, in small pixels.
+        blend: a of Eq. 2, what a sample counts that lies on the centre of a pixel.
+    """
+    frame = pair.current
+    assert frame.depth is not None
+    assert pair.prev.depth is not None
+    motion = enlarged_motion(back, (now.image.shape[-2], now.image.shape[-1]), frame.jitter)
+    gone = pick(disoccluded(frame.depth, pair.prev.depth, back, depth_threshold), now.nearest)
+    kept = ~gone & inside(motion) & ~frame.reset[:, None, None, None]
+    history = resample(state.image, motion, table)
+    clamped = within(neighbourhood(now.color), history, now.nearest)
+    still = (motion.abs().amax(1, keepdim=True) < 0.5 / LEVELS) & kept
+    outside = (clamped != history).any(1, keepdim=True)
+    missed = torch.where(still & outside, state.missed + 1, 0.0)
+    steady = still & (missed <= PATIENCE)
+    limit = torch.where(steady, STILL, 1 / blend - 1)
+    weight = torch.where(kept, torch.minimum(fetch(state.weight, motion), limit), 0.0)
+    history = torch.where(steady, history, clamped)
+    image = history + now.weight / (weight + now.weight) * (now.image - history)
+    before = torch.where(frame.reset[:, None, None, None], image, state.image)
+    return Enlarging(pair, before, image, weight + now.weight, missed)
