@@ -67,7 +67,8 @@ def decode(
     ):
         if vectors and name in raw:
             own = (raw[name].shape[1], raw[name].shape[2])
-            there = _camera_part(out.get("depth"), here, other)
+            partial = vectors.unwritten is not None or not vectors.camera
+            there = _camera_part(out.get("depth"), here, other) if partial else None
             out[name] = decode_motion(_fit(raw[name], size), vectors, own, jitter_shift(here, other), there)
     if "motion" not in out and settings.cameras and settings.cameras.motion:
         still = _camera_part(out.get("depth"), here, previous)
