@@ -191,7 +191,10 @@ def test_large_images_are_cropped_to_where_most_changes(tmp_path: Path, monkeypa
     text = report(evaluate([clip], ["hold"], "interpolate", PSNR), {clip.path.name: clip}, megabytes=0.31)
     assert "18x24 of 30x40 pixels" in text
     assert sum(len(packed) for packed in re.findall(r'data-size="[^"]*">(.*?)<', text)) < 10e3
-    assert data_of(text)["runs"][0]["window"] == [window.left, window.top]
+    run, images = data_of(text)["runs"][0], images_of(text)
+    assert run["window"] == [window.left, window.top]
+    assert [name and images[name].shape for name in run["methods"][0]["flip"]] == [None, (1, 24, 18)]
+    assert list(run["methods"][0]["values"]) == ["psnr"]  # FLIP of all pixels is not known
 
 
 def test_the_busiest_place_is_that_of_a_loop() -> None:

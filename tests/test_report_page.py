@@ -13,7 +13,7 @@ from conftest import write_disc_clip
 
 from framecast.clip import Clip
 from framecast.color import to_display
-from framecast.evaluate import evaluate
+from framecast.evaluate import Settings, evaluate
 from framecast.metrics import flip_map
 from framecast.report import report
 
@@ -340,6 +340,21 @@ def test_the_address_brings_back_what_was_on_show(opened: Opened) -> None:
     assert opened.stage() == stage
     opened.at(a="nobody", frame=99, view="nothing", zoom="x")
     assert opened.text("where").startswith("frame 4")
+
+
+def test_clips_take_turns(opened: Opened, clip: Clip, tmp_path: Path, file: Path) -> None:
+    other = write_disc_clip(tmp_path / "other", 5)
+    rows = evaluate([clip, other], ["hold"], "interpolate", Settings(metrics=("psnr",)))
+    page = tmp_path / "two.html"
+    page.write_text(report(rows, {"disc": clip, "other": other}))
+    opened.page.goto(page.as_uri())
+    opened.settled()
+    before = opened.stage()
+    assert (opened.page.get_attribute("#scrubber", "max"), opened.text("where")[:7]) == ("6", "frame 4")
+    opened.do(lambda page: page.select_option("#run", "1"))
+    assert (opened.page.get_attribute("#scrubber", "max"), opened.text("where")[:7]) == ("4", "frame 4")
+    opened.key("Home")
+    assert opened.stage() != before
 
 
 def test_every_control_has_a_name_and_the_stage_says_what_it_shows(opened: Opened) -> None:

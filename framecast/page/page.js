@@ -35,7 +35,6 @@ function entered() {
   $("scrubber").max = ours.frames.length - 1;
   $("row").max = ours.size[0] - 1;
   $("bounce").checked = ours.frames.length < 48;
-  drawing = false;
   warm();
 }
 
@@ -251,6 +250,8 @@ function valid(found) {
 }
 
 function start() {
+  $("old").hidden = "DecompressionStream" in window;
+  $("hold").checked = matchMedia("(prefers-reduced-motion: reduce)").matches;
   fill($("run"), data.runs.map((one, i) => i), (i) => data.runs[i].title);
   $("run").parentElement.hidden = data.runs.length < 2;
   const found = valid(recalled());
