@@ -79,7 +79,8 @@ def _some(take: Take, most: int = 4) -> list[int]:
 
 
 def parallax(take: Take, vectors: Mapping[int, np.ndarray], tangents: Sequence[float]) -> tuple[Law, float]:
-    """What a smooth field plus each candidate times another leaves of the vectors, in pixels; and without any depth.
+    """What a smooth field plus each candidate (and its square) times others leaves of the vectors, in pixels; and
+    what is left without any depth.
 
     Args:
         vectors: by frame, `2 h w` pixels, towards the previous frame.
@@ -101,7 +102,8 @@ def parallax(take: Take, vectors: Mapping[int, np.ndarray], tangents: Sequence[f
         for name, f in candidates(np.where(solid, raw, 1), tangents).items():
             inverse = f.flat[places]
             inverse = inverse / (np.median(np.abs(inverse)) + 1e-12)
-            left.setdefault(name, []).append(_residual(np.concatenate([basis, inverse[:, None] * basis[:, :3]], 1), v))
+            once = inverse[:, None] * basis[:, :3]
+            left.setdefault(name, []).append(_residual(np.concatenate([basis, once, inverse[:, None] * once], 1), v))
     flat = float(np.median(without)) if without else 0.0
     return Law({k: float(np.median(v)) for k, v in left.items()}, 4000 * len(without)), flat
 

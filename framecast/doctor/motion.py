@@ -201,6 +201,12 @@ class Trial:
         """Mean error over all points of all pairs; infinite where the reading could not be tried."""
         return float(np.concatenate(list(self.errors.values())).mean()) if self.errors else float("inf")
 
+    @property
+    def core(self) -> float:
+        """Mean of the smaller three quarters of the errors: without what is hidden in the other frame."""
+        errors = np.sort(np.concatenate(list(self.errors.values()))) if self.errors else np.array([np.inf])
+        return float(errors[: max(1, 3 * len(errors) // 4)].mean())
+
 
 Shifts = Mapping[tuple[int, int], tuple[float, float]]
 """Displacement of the whole picture between two frames that is not in the vectors: the difference of the jitters."""

@@ -16,6 +16,9 @@ from framecast.importers.decode import decode_depth
 from framecast.importers.settings import Depth
 
 
+Seen = tuple[int, np.ndarray, np.ndarray, np.ndarray]
+
+
 def tangents_of(take: Take) -> list[float]:
     """Tangent of half the vertical field of view where the lens is recorded, else some usual ones."""
     projection = take.records[0].projection
@@ -34,13 +37,19 @@ def tell_depth(
     if len(values) == 0 or np.ptp(values) == 0:
         held = f"{values[0]:g} everywhere" if len(values) else "no number"
         return [Finding("depth.empty", "fix", f"depth holds {held}; switch the depth pass on")], None
-    steps = len(np.unique(np.concatenate([np.unique(take.stored[t]["depth"][0]) for t in frames[:2]])))
-    if bits == 8 or steps <= 256:
+    steps = even_steps(np.concatenate([take.stored[t]["depth"][0].ravel() for t in frames[:2]]))
+    if bits == 8 or steps:
         says = (
-            f"depth has {steps} different values, as 8 bits do: too coarse to find what hides what; "
-            "export 16 or 32 bits (EXR)"
+            f"depth has {steps or 256} different values, evenly spaced as 8 bits are: too coarse to find what hides "
+            f"what; export 16 or 32 bits (EXR)"
         )
         return [Finding("depth.bits", "fix", says)], None
+    if (fit := camera_fit(take, claim, fields)) is not None and fit[0] < max(0.004, 0.01 * fit[1]):
+        says = (
+            f"depth: {worded(claim.kind)}, as claimed (with it the recorded cameras cause the vectors to within "
+            f"{fit[0]:.4f} pixels, of {fit[1]:.2f} that depth decides)"
+        )
+        return [Finding("depth", "fine", says)], claim
     kind, law, name, value = kind_of(take, claim, fields)
     if kind is None:
         says = (
@@ -72,6 +81,16 @@ def tell_depth(
             )
         )
     return out, found
+
+
+def even_steps(numbers: np.ndarray) -> int:
+    """How many different numbers there are, if they are at most 256 multiples of one step; else 0."""
+    held = np.unique(numbers[np.isfinite(numbers)].astype(np.float64))
+    held = held[np.abs(held) < SKY * 0.99]
+    if not 8 <= len(held) <= 256:
+        return 0
+    places = (held - held[0]) / np.diff(held).min()
+    return len(held) if np.abs(places - np.rint(places)).max() < 0.02 and places[-1] <= 256 else 0
 
 
 def worded(kind: str) -> str:
@@ -173,28 +192,50 @@ def _far(take: Take) -> float | None:
     return abs(p[2][3] / (p[2][2] + 1))
 
 
-def fitted_scale(take: Take, depth: Depth, fields: Mapping[int, np.ndarray]) -> float | None:
-    """The factor on depth with which the recorded cameras cause the vectors; None where they say nothing about it."""
-    if "cameras" not in take.recorded or take.stretch != 1.0:
-        return None
-    votes = []
-    for t, field in list(fields.items())[:4]:
+def seen(
+    take: Take, depth: Depth, fields: Mapping[int, np.ndarray]
+) -> list[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+    """Of some frames: pixels that show a surface, its distance as decoded, and its vectors `2 n`. Empty without
+    recorded cameras, or where the vectors span another time than the cameras."""
+    out = []
+    usable = "cameras" in take.recorded and take.stretch == 1.0
+    for t, field in list(fields.items())[:4] if usable else ():
         if not take.joined[t]:
             continue
         try:
             z = decode_depth(take.stored[t]["depth"].astype(np.float32), depth, take.records[t].projection)[0]
         except ClipError:
-            return None
+            return []
         sky = resampled(sky_of(take.stored[t]["depth"][0]) | (z >= SKY), take.size)
         places = np.flatnonzero(~sky)
         if len(places) < 0.05 * sky.size:
             continue
         places = np.random.default_rng(t).choice(places, min(len(places), 500), replace=False)
-        near, v = resampled(z, take.size).ravel()[places].astype(np.float64), field.reshape(2, -1)[:, places]
-        misfit = lambda s: _camera_misfit(take, t, places, near * s, v)  # noqa: B023, E731
+        distance = resampled(z, take.size).ravel()[places].astype(np.float64)
+        out.append((t, places, distance, field.reshape(2, -1)[:, places]))
+    return out
+
+
+def camera_fit(take: Take, depth: Depth, fields: Mapping[int, np.ndarray]) -> tuple[float, float] | None:
+    """Pixels between the vectors and what the recorded cameras cause, with depth as decoded and infinitely far."""
+    found = [
+        (_camera_misfit(take, t, places, z, v), _camera_misfit(take, t, places, z * 1e4, v))
+        for t, places, z, v in seen(take, depth, fields)
+    ]
+    if not found:
+        return None
+    near, far = np.median(found, 0)
+    return (float(near), float(far)) if far > 0.02 else None
+
+
+def fitted_scale(take: Take, depth: Depth, fields: Mapping[int, np.ndarray]) -> float | None:
+    """The factor on depth with which the recorded cameras cause the vectors; None where they say nothing about it."""
+    votes = []
+    for t, places, z, v in seen(take, depth, fields):
+        misfit = lambda s: _camera_misfit(take, t, places, z * s, v)  # noqa: B023, E731
         errors = {float(s): misfit(s) for s in np.geomspace(1e-4, 1e4, 49)}
         best = min(errors, key=errors.__getitem__)
-        beyond = max(min(errors[s] for s in errors if s > 30 * best or s < best / 30) if len(errors) > 2 else 0.0, 0.0)
+        beyond = min(errors[s] for s in errors if s > 30 * best or s < best / 30)
         if beyond > 3 * errors[best] + 0.02:
             votes.append(float(min(best * np.geomspace(0.7, 1.43, 25), key=misfit)))
     return float(np.median(votes)) if len(votes) >= 2 or (votes and len(fields) < 3) else None

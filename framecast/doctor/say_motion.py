@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from framecast.doctor.camera import Blanks, blanks_of
-from framecast.doctor.motion import Direction, Reading, Scene, displacement, margin, resampled, scene_of, trial
-from framecast.doctor.probe import fit_shift, misfit
+from framecast.doctor.motion import Reading, Scene, displacement, margin, resampled, scene_of, trial
+from framecast.doctor.probe import BLOCKS, fit_shift, misfit
 from framecast.doctor.report import Finding
-from framecast.doctor.search import RATIO, SURE, Answer, search
+from framecast.doctor.search import OTHER_TIME, RATIO, SURE, Answer, search
 from framecast.doctor.take import Take
 from framecast.importers.settings import Motion
 
@@ -107,7 +107,7 @@ def nothing_stored(take: Take) -> str:
         values = np.nan_to_num(stored[:2].astype(np.float32))
         if np.ptp(values.reshape(len(values), -1), axis=1).max() > 1e-9:
             return ""
-        found.add(tuple(float(v) for v in values[:, 0, 0]))
+        found.add(tuple(float(np.round(v, 6)) + 0.0 for v in values[:, 0, 0]))
     return "0" if all(v == (0.0, 0.0) for v in found) else " ".join(f"{v:g}" for v in sorted(found)[0]) if found else ""
 
 
@@ -124,16 +124,18 @@ def empty_vectors(take: Take, claim: Motion, number: str) -> Told:
             (Finding("motion.empty", "fix", says, blanks.still, blanks.moved, blanks.votes),), None, None, blanks
         )
     if scene is not None and (parts := moving_parts(scene)):
-        says = f"every vector is {number} although {parts} parts of the picture move; switch the vector pass on"
+        says = (
+            f"every vector is {number} although {parts} of {BLOCKS * BLOCKS} parts of the picture "
+            "move; switch the vector pass on"
+        )
         return Told((Finding("motion.empty", "fix", says),), None, None, blanks)
     return _unknown(f"every vector is {number} and nothing seems to move")
 
 
 def moving_parts(scene: Scene) -> int:
-    """Blocks of the picture that agree better when they are shifted by half a pixel or more, in most pairs."""
-    counts = []
+    """Blocks of the picture that agree clearly better when they are shifted by half a pixel or more, in most pairs."""
+    moved: dict[int, list[bool]] = {}
     for pair in scene.pairs:
-        count = 0
         zero = np.zeros_like(pair.x)
         whole = fit_shift(pair, zero, zero)
         for block in np.unique(pair.block):
@@ -148,9 +150,8 @@ def moving_parts(scene: Scene) -> int:
             dx, dy = fit_shift(part, z + whole[0], z + whole[1], limit=4, steps=8)
             before = misfit(part, z + whole[0], z + whole[1]).mean()
             after = misfit(part, z + whole[0] + dx, z + whole[1] + dy).mean()
-            count += bool(np.hypot(dx, dy) > 0.5 and after < 0.75 * before)
-        counts.append(count)
-    return int(np.median(counts)) if counts else 0
+            moved.setdefault(int(block), []).append(bool(np.hypot(dx, dy) > 0.5 and after < 0.7 * before))
+    return sum(np.mean(seen) > 0.6 for seen in moved.values())
 
 
 def _unknown(why: str) -> Told:
@@ -195,8 +196,8 @@ def worded(motion: Motion) -> str:
 
 
 def effective(motion: Motion) -> tuple[float, float]:
-    """Signs that lead from the current frame to the other one."""
-    turned = -1.0 if motion.direction in ("previous->current", "next->current") else 1.0
+    """Signs of the vectors that lead to the previous frame, everything moving evenly."""
+    turned = -1.0 if motion.direction in ("previous->current", "current->next") else 1.0
     return motion.sign[0] * turned, motion.sign[1] * turned
 
 
@@ -216,8 +217,7 @@ def _differences(take: Take, answer: Answer, claim: Motion) -> list[Finding]:
     flip = lambda m, sx, sy: replace(m, sign=(m.sign[0] * sx, m.sign[1] * sy))  # noqa: E731
     if ("next" in best.direction) != ("next" in claim.direction):
         other = "next" if "next" in best.direction else "previous"
-        back: dict[Direction, Direction] = {"current->next": "current->previous", "next->current": "previous->current"}
-        without = replace(best, direction=back.get(best.direction, best.direction))
+        without = replace(best, direction=OTHER_TIME[best.direction])
         add(
             "motion.time",
             f"vectors belong to the {other} frame, not to the {'next' if other == 'previous' else 'previous'} one",

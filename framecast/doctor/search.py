@@ -29,6 +29,10 @@ SURE = 2.5
 RATIO = 1.03
 """Ratio of errors that makes a difference count."""
 
+EVEN = 1.15
+"""Ratio of errors, the largest left out, that makes the next frame count in place of the previous one with the sign
+turned around: while everything moves evenly both say the same, and what is hidden in one of them must not decide."""
+
 FINALISTS = 6
 """Readings that are compared again once the shaking of the picture is known."""
 
@@ -112,7 +116,8 @@ def simplest(trials: Sequence[Trial], claim: Trial, scene: Scene) -> Trial:
     leader = min(trials, key=lambda t: t.mean)
     for rival in sorted(trials, key=lambda t: deviations(t.reading, claim.reading)):
         ours, theirs, sure = margin(leader, rival, scene)
-        if sure < SURE or theirs < RATIO * ours:
+        even = OTHER_TIME[leader.reading.motion.direction] == rival.reading.motion.direction
+        if sure < SURE or theirs < RATIO * ours or (even and rival.core < EVEN * leader.core):
             return rival
     return leader
 
