@@ -3,6 +3,7 @@
 import contextlib
 import json
 import random
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,7 @@ from framecast.importers.encode import (
     encode_scalar,
     pack,
 )
+from framecast.importers.listing import Listing
 from framecast.importers.settings import (
     Color,
     Depth,
@@ -56,6 +58,7 @@ AT: dict[str, Any] = {"files": ("{frame}.exr",)}
 XY = {**AT, "channels": ("X", "Y")}
 FOUR = {**AT, "channels": tuple("RGBA")}
 H, W = 6, 10
+PAGE = Path(__file__).parents[1] / "docs" / "importers.md"
 fast = settings(max_examples=25, deadline=None)
 
 signs = st.sampled_from((1.0, -1.0))
@@ -169,6 +172,19 @@ def test_only_what_differs_from_a_frame_is_written() -> None:
         "source": "generic",
         "motion": {"files": ["{frame}.exr"], "channels": ["X", "Y"], "sign": [1.0, -1.0]},
     }
+
+
+def test_the_page_holds_settings_that_are_read_and_a_source_that_works(tmp_path: Path) -> None:
+    blocks = re.findall(r"```(\w+)\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    about = next(json.loads(text) for kind, text in blocks if kind == "json" and '"motion"' in text)
+    assert parsed(about).jitter == Jitter(halton=8, sign=(-1.0, -1.0))
+    example: dict[str, Any] = {}
+    exec(next(text for kind, text in blocks if kind == "python"), example)
+    for name in ("color", "mvec", "linearZ"):
+        (tmp_path / f"{name}.0001.exr").touch()
+    found = example["recognise"](Listing(tmp_path))
+    assert found.settings.motion.units == "uv"
+    assert example["recognise"](Listing(tmp_path.parent)) is None
 
 
 def test_a_single_name_needs_no_brackets() -> None:

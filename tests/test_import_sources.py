@@ -412,6 +412,77 @@ def test_pictures_of_16_bits_keep_them(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.rint(found * 65535).astype(np.uint16), np.moveaxis(values, 2, 0))
 
 
+FLIP = np.diag([1.0, 1, -1, 1])
+
+
+def unity_pose(time: int) -> dict[str, Any]:
+    (x, y, z), right, up = place(time)
+    (sy, cy), (sx, cx) = ((math.sin(a / 2), math.cos(a / 2)) for a in (right, -up))
+    return {"position": [x, y, -z], "rotation": [cy * sx, sy * cx, -sy * sx, cy * cx]}
+
+
+def in_directx(time: int) -> dict[str, Any]:
+    view, projection = np.array(record(time).view), np.array(record(time).projection)
+    return {"view": (FLIP @ view @ FLIP).T.tolist(), "projection": (projection @ FLIP).T.tolist()}
+
+
+def in_unreal_centimetres(time: int) -> dict[str, Any]:
+    (x, y, z), right, up = place(time)
+    return {"position": [-100 * z, 100 * x, 100 * y], "rotation": [math.degrees(up), math.degrees(right), 0]}
+
+
+CAMERAS: list[tuple[str, float, Callable[[int], dict[str, Any]]]] = [
+    ("opengl", 1.0, lambda t: {"view": record(t).view, "projection": record(t).projection}),
+    (
+        "opengl",
+        1.0,
+        lambda t: {"camera_to_world": (10 * np.linalg.inv(record(t).view) @ np.diag([1, 1, 1, 0.1])).tolist()},
+    ),
+    ("unity", 1.0, unity_pose),
+    ("unity", 1.0, lambda t: {"view": (np.array(record(t).view) @ FLIP).tolist()}),
+    ("directx", 1.0, in_directx),
+    ("unreal", 0.01, in_unreal_centimetres),
+]
+
+
+@pytest.mark.parametrize(("axes", "scale", "row"), CAMERAS)
+def test_cameras_of_every_convention(tmp_path: Path, axes: Any, scale: float, row: Callable[[int], Any]) -> None:
+    made = replace(
+        generic(),
+        axes=axes,
+        normal=Normal(files=("n/{frame}.exr",), channels=RGB),
+        cameras=Cameras(file="cameras.json", fov=math.degrees(FOV), scale=scale),
+    )
+    lay_generic(tmp_path, made)
+    rows = [{"frame": t + 10, **row(t), "cut": t == 1, "jitter": [0.5, 0]} for t in range(FRAMES)]
+    (tmp_path / "cameras.json").write_text(json.dumps({"frames": rows}))
+    clip = open_any(tmp_path)
+    moves_as_its_cameras(clip)
+    same(clip, ("normal",))
+    assert (clip.is_cut(1), clip.is_cut(2)) == (True, False)
+    assert clip.records[1].jitter == (-0.5, 0)  # the settings say that the picture is moved
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "cannot be read"),
+        ('{"frames": [{"view": 1}]}', "cannot be read"),
+        ('{"frames": [{"frame": 10, "view": [[1, 0], [0, 1]]}]}', "cannot be read"),
+        (json.dumps({"frames": [{"frame": 10, "view": np.ones((4, 4)).tolist()}]}), "view is no pose"),
+        ('{"frames": [{"frame": 10, "fov": 200}]}', "between 0 and 180"),
+        ('{"frames": [{"frame": 10, "position": [NaN, 0, 0], "rotation": [0, 0, 0]}]}', "NaN or infinity"),
+    ],
+)
+def test_a_wrong_file_of_cameras_is_said(tmp_path: Path, text: str, said: str) -> None:
+    lay_generic(tmp_path, replace(generic(), axes="unreal", cameras=Cameras(file="cameras.json")))
+    with pytest.raises(FileNotFoundError, match=r"write it, or remove cameras\.file"):
+        open_any(tmp_path)
+    (tmp_path / "cameras.json").write_text(text)
+    with pytest.raises(ClipError, match=said):
+        open_any(tmp_path)
+
+
 # The command line: one sentence, exit 2, nothing left behind.
 
 

@@ -205,7 +205,7 @@ def read_settings(path: Path | str) -> Settings:
 
 
 def write_settings(settings: Settings, path: Path | str) -> Path:
-    """Settings to a file (or into a folder, under the usual name), without what has its default; returns the file.
+    """Settings to a file (or into a folder, under the usual name), a line a buffer, without defaults; returns the file.
 
     Raises:
         ClipError: the settings contradict themselves, or the file system refuses.
@@ -214,7 +214,8 @@ def write_settings(settings: Settings, path: Path | str) -> Path:
     path = path / NAME if path.is_dir() else path
     check_settings(settings)
     with exr.whole(path) as temporary:
-        temporary.write_text(json.dumps(plain(settings), indent=1) + "\n", encoding="utf-8")
+        lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in plain(settings).items()]
+        temporary.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
     return path
 
 
