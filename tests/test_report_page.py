@@ -58,15 +58,9 @@ class Opened:
         self.page = page
 
     def settled(self) -> None:
-        """Waits until nothing is drawn any more."""
-        before = -1
-        for _ in range(100):
-            now = self.page.evaluate("Number(document.body.dataset.drawn ?? 0)")
-            if now == before and now:
-                return
-            before = now
-            self.page.wait_for_timeout(60)
-        raise AssertionError("the stage never comes to rest")
+        """Waits until what was asked for is drawn."""
+        self.page.evaluate("() => new Promise((then) => requestAnimationFrame(() => requestAnimationFrame(then)))")
+        self.page.wait_for_selector("body[data-drawn]:not([data-waiting])")
 
     def do(self, action: Callable[[Any], object]) -> None:
         action(self.page)
@@ -98,11 +92,9 @@ class Opened:
         return str(self.page.inner_text(f"#{name}"))
 
     def at(self, **state: object) -> None:
-        """Opens the page at an address that says what is on show."""
+        """Goes to an address that says what is on show."""
         query = "&".join(f"{key}={value}" for key, value in state.items())
-        address = self.page.url.split("#")[0]
-        self.page.goto("about:blank")
-        self.page.goto(f"{address}#{query}")
+        self.page.evaluate("(query) => { location.hash = query; }", query)
         self.settled()
 
     def pixel(self, x: int, y: int, place: tuple[float, float] = (0.5, 0.5), **state: object) -> torch.Tensor:

@@ -29,7 +29,7 @@ const better = (metric) => (data.metrics[metric]?.higher ? "higher is better" : 
 
 /** One curve a method over the frames; a click goes to its frame. */
 function drawCurves() {
-  const box = document.getElementById("curves"), width = box.clientWidth, height = 190;
+  const box = document.getElementById("curves"), width = Math.max(240, box.clientWidth), height = 190;
   const margin = { left: 52, right: 14, top: 12, bottom: 30 }, count = run().frames.length;
   const found = run().methods.flatMap(valuesOf).filter((v) => v !== null);
   box.replaceChildren();
@@ -107,7 +107,7 @@ function drawLegend() {
 
 /** Quality against milliseconds of every method, with the line of those that nothing beats in both. */
 function drawScatter() {
-  const box = document.getElementById("scatter"), width = box.clientWidth, height = Math.min(380, Math.max(260, width * 0.5));
+  const box = document.getElementById("scatter"), width = Math.max(240, box.clientWidth), height = Math.min(380, Math.max(260, width * 0.5));
   const margin = { left: 56, right: 20, top: 26, bottom: 40 };
   const points = scatterPoints();
   box.replaceChildren();

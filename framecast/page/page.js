@@ -92,7 +92,8 @@ function drawn() {
   probe();
   clearTimeout(saying);
   if (!state.playing) saying = setTimeout(() => ($("said").textContent = inWords()), 700);
-  document.body.dataset.drawn = Number(document.body.dataset.drawn ?? 0) + 1;
+  document.body.dataset.drawn = "";
+  if (!drawing) delete document.body.dataset.waiting;
 }
 
 /** Values of the pixel under the pointer, or in the middle of the stage. */
@@ -261,6 +262,11 @@ function start() {
   drawCurves();
   drawScatter();
   drawLegend();
+  addEventListener("hashchange", () => {
+    const asked = valid(recalled());
+    set({ run: asked.run ?? state.run });
+    set(asked);
+  });
   let width = innerWidth;
   addEventListener("resize", () => {
     invalidate();

@@ -24,8 +24,9 @@ const imageId = (name, frame = state.frame) => (name === REFERENCE ? run().refer
 const color = (name) =>
   name === REFERENCE ? "var(--ink)" : `var(--m${run().methods.findIndex((m) => m.name === name) % 8})`;
 
-/** Draws soon, once. */
+/** Draws soon, once; until then the page says that it waits. */
 function invalidate() {
+  document.body.dataset.waiting = "";
   if (drawing) return;
   drawing = true;
   requestAnimationFrame(() => {
@@ -66,7 +67,7 @@ const overlaid = () => state.view === "wipe" || (state.view === "flip" && tiles(
 /** Columns, rows and tile size that show `count` images largest, in device pixels. */
 function layout(count) {
   const [height, width] = run().size, density = devicePixelRatio || 1;
-  const room = stage.parentElement.clientWidth;
+  const room = Math.max(240, stage.parentElement.clientWidth);
   if (state.view === "slice" && room < NARROW) return { columns: 1, rows: 1, w: Math.floor(room * density), h: Math.floor(1.25 * room * density) };
   const cap = Math.max(240, innerHeight * (state.view === "all" ? 0.85 : 0.66));
   let best = { scale: 0 };
