@@ -198,9 +198,11 @@ def sharp_warp(
     x = (torch.arange(width, dtype=torch.float32, device=image.device) + motion[:, 0]).clamp(-1, width)
     y = (torch.arange(height, dtype=torch.float32, device=image.device)[:, None] + motion[:, 1]).clamp(-1, height)
     left, top = x.floor(), y.floor()
+    across, down = _weights(x - left, kernel), _weights(y - top, kernel)
+    if not torch.compiler.is_compiling() and min(height, width) > 1:
+        return _merged(image, (left, top), across, down, bounded)
     columns = [(left + k).clamp(0, width - 1).to(torch.int32) for k in (-1, 0, 1, 2)]
     rows = [(top + k).clamp(0, height - 1).to(torch.int32) * width for k in (-1, 0, 1, 2)]
-    across, down = _weights(x - left, kernel), _weights(y - top, kernel)
     planes = []
     for plane in image.unbind(1):
         flat = plane.flatten(1)
@@ -214,6 +216,33 @@ def sharp_warp(
             value = torch.minimum(torch.maximum(value, low), high)
         planes.append(value)
     return torch.stack(planes, 1)
+
+
+def _merged(
+    image: Tensor, corner: tuple[Tensor, Tensor], across: list[Tensor], down: list[Tensor], bounded: bool
+) -> Tensor:
+    """`sharp_warp` from nine bilinear reads, which take the two inner weights of an axis as one: the faster way where
+    `grid_sample` is a kernel of its own."""
+    height, width = image.shape[-2:]
+    result = torch.zeros_like(image)
+    for at_y, weight_y in _reads(corner[1], down, height):
+        for at_x, weight_x in _reads(corner[0], across, width):
+            read = F.grid_sample(image, torch.stack((at_x, at_y), -1), padding_mode="border", align_corners=True)
+            result = result + read * (weight_x * weight_y)[:, None]
+    if not bounded:
+        return result
+    around = F.pad(image, (1, 1, 1, 1), mode="replicate")
+    row, column = (corner[1] + 1).clamp(max=height), (corner[0] + 1).clamp(max=width)
+    index = row.to(torch.int32) * (width + 1) + column.to(torch.int32)
+    low, high = pick(-F.max_pool2d(-around, 2, 1), index), pick(F.max_pool2d(around, 2, 1), index)
+    return torch.minimum(torch.maximum(result, low), high)
+
+
+def _reads(first: Tensor, weights: list[Tensor], size: int) -> list[tuple[Tensor, Tensor]]:
+    """Positions (-1 to 1) and weights of three reads along an axis; `first` is the second of the four pixels."""
+    inner = weights[1] + weights[2]
+    at = ((first - 1, weights[0]), (first + weights[2] / inner, inner), (first + 2, weights[3]))
+    return [(position * (2 / (size - 1)) - 1, weight) for position, weight in at]
 
 
 def _weights(fraction: Tensor, kernel: Kernel) -> list[Tensor]:

@@ -1,4 +1,4 @@
-"""What every entry of METHODS promises, whatever it computes."""
+"""What every method that generates frames promises, whatever it computes."""
 
 import copy
 import sys
@@ -20,7 +20,9 @@ OPTIONAL = {"motion_next"}
 
 EVERYTHING = (*BUFFERS, "view", "projection")
 
-pytestmark = pytest.mark.parametrize("name", sorted(METHODS))
+GENERATING = [name for name in sorted(METHODS) if set(METHODS[name]().modes) - {"pass"}]  # type: ignore[arg-type]
+
+pytestmark = pytest.mark.parametrize("name", GENERATING)
 
 
 def camera() -> torch.Tensor:

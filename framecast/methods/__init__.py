@@ -17,11 +17,14 @@ from framecast.methods import extranet, mnss, nsrr
 from framecast.methods.blend import Blend
 from framecast.methods.bsr import BSR
 from framecast.methods.extranet import ExtraNet
+from framecast.methods.filters import Bilinear, Lanczos
+from framecast.methods.fsr2 import FSR2
 from framecast.methods.hold import Hold
 from framecast.methods.mnss import MNSS
 from framecast.methods.mobfgsr import Config as MobFGSRConfig
 from framecast.methods.mobfgsr import MobFGSR
 from framecast.methods.nsrr import NSRR
+from framecast.methods.taau import TAA, TAAU
 from framecast.methods.warp3d import Warp3D
 from framecast.methods.warps import OcclusionWarp, Warp
 from framecast.recipe import Recipe
@@ -35,6 +38,11 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "bsr": BSR,
     "mobfgsr": MobFGSR,
     "mobfgsr-quadratic": lambda: MobFGSR(MobFGSRConfig(motion="quadratic")),
+    "bilinear": Bilinear,
+    "lanczos": Lanczos,
+    "taa": TAA,
+    "taau": TAAU,
+    "fsr2": FSR2,
 }
 
 TRAINABLE: dict[str, tuple[Callable[[], nn.Module], Recipe]] = {

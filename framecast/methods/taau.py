@@ -1,0 +1,210 @@
+"""TAA and TAAU: jittered frames accumulated at display size along their motion.
+
+Paper:   Yang, Liu, Salvi, "A Survey of Temporal Antialiasing Techniques", Computer Graphics Forum 39(2), 2020,
+         https://doi.org/10.1111/cgf.14018; the clamp by moments is Salvi's, the kernel Karis'.
+Follows: the survey's upsampling: history along the vector of the nearest surface in 3 x 3, Catmull-Rom; rejected off
+         screen and where depth says it was hidden; clamped in YCoCg to mean and deviation of the neighbourhood; mixed
+         with the enlarged frame by alpha times confidence, all in x / (1 + max(r, g, b)).
+Differs: alpha is not fixed. Each pixel keeps the sum of the confidences of its samples, so that a still history is
+         their weighted mean, whatever came in whichever order. Reading between pixels blurs, so motion by fractions of
+         a pixel takes some of that sum away. What is still for two periods of the jitter is complete and stays.
+         The box that history is clamped to is not that of one frame: at twice the size a neighbourhood changes with
+         every phase, and clipping to it makes the picture pulsate with the jitter. Mean and square of the
+         neighbourhood are accumulated themselves, over 16 frames where still and 2 where moving. What lies outside of
+         what was ever seen there starts them anew, so that changes of light do not wait. Measured on a still checker
+         of display pixels, after 64 frames: STEADY.
+Needs:   color, depth, motion
+Modes:   pass
+State:   the accumulated image, its confidence and how long it stood still at display size; depth, motion and the
+         moments of neighbourhoods at render size
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from framecast.color import tonemap, untonemap
+from framecast.frame import Frame
+from framecast.methods.filters import bounded_lanczos
+from framecast.methods.larger import Config, output_size, require, warn_of_stillness, where
+from framecast.methods.mobfgsr import present
+from framecast.resample import (
+    Box,
+    enlarge,
+    foreground,
+    from_ycocg,
+    gaussian,
+    moments,
+    nearest_sample,
+    phases,
+    sharp_warp,
+    to_ycocg,
+)
+from framecast.warp import disoccluded, fetch, inside, pick, warp
+
+FIRST = 0.05
+"""Confidence of an enlarged frame where none of its samples is near."""
+BLUR = 0.8
+"""Part of its confidence that history loses when it is read half-way between pixels in both directions."""
+MOST = 64.0
+"""Largest sum of confidences."""
+STILL, MOVING = 1 / 16, 1 / 2
+"""Share of the newest frame in the moments of neighbourhoods, without motion and from `STIR` on."""
+STIR = 0.1
+"""Motion in display pixels a frame from which on a pixel counts as moving."""
+ELSEWHERE = 0.25
+"""Render pixels a frame by which two surfaces beside each other move apart."""
+GAMMA = 2.0
+"""Half the size of the box in standard deviations."""
+CHANGED = 3.0
+"""Standard deviations by which a neighbourhood must leave what was seen there to be taken for another one."""
+
+
+@dataclass(frozen=True)
+class History:
+    """What is known of the frames before. Colours are YCoCg of tone-mapped colour."""
+
+    color: Float[Tensor, "b 3 H W"]
+    weight: Float[Tensor, "b 1 H W"]
+    """Sum of the confidences of the samples in `color`; 0: nothing is known."""
+    still: Float[Tensor, "b 1 H W"]
+    """Frames since the pixel moved or changed."""
+    depth: Float[Tensor, "b 1 h w"]
+    motion: Float[Tensor, "b 2 h w"]
+    mean: Float[Tensor, "b 3 h w"]
+    square: Float[Tensor, "b 3 h w"]
+    jitter: Float[Tensor, "b 2"]
+
+
+torch.export.register_dataclass(History)
+
+
+class TAAU(nn.Module):
+    """See the top of this file."""
+
+    needs: tuple[str, ...] = ("color", "depth", "motion")
+    needs_generated: tuple[str, ...] = ()
+    modes: tuple[str, ...] = ("pass",)
+    scales: tuple[float, ...] = (1.5, 2.0, 3.0)
+    parts = ("accumulate",)
+    history: int | None = None
+    step_motion: bool = False
+
+    def __init__(self, config: Config = Config()) -> None:
+        super().__init__()
+        self.config = config
+
+    def start(self, frame: Frame) -> History:
+        """The state before the first frame, which is `frame`: nothing."""
+        require(frame, type(self).__name__.lower(), self.needs)
+        color, depth = present(frame.color), present(frame.depth)
+        batch, _, height, width = color.shape
+        tall, wide = output_size(frame, self.config.scale)
+        none = color.new_zeros(batch, 1, tall, wide)
+        return History(
+            color=color.new_zeros(batch, 3, tall, wide),
+            weight=none,
+            still=none.clone(),
+            depth=torch.ones_like(depth),
+            motion=torch.zeros_like(present(frame.motion)),
+            mean=torch.zeros_like(color),
+            square=torch.zeros_like(color),
+            jitter=torch.ones_like(frame.jitter),
+        )
+
+    def forward(self, frame: Frame, state: History) -> tuple[Float[Tensor, "b 3 H W"], History]:
+        """The image of a shaded frame at display size, linear and at least 0, and what is known then.
+
+        Raises:
+            ValueError: the frame was not shaded, or its buffers are of different sizes.
+        """
+        name = type(self).__name__.lower()
+        require(frame, name, self.needs)
+        warn_of_stillness(state.jitter, frame.jitter, name)
+        return self.accumulate(frame, state)
+
+    def accumulate(self, frame: Frame, state: History) -> tuple[Float[Tensor, "b 3 H W"], History]:
+        """The arithmetic of `forward`."""
+        size = output_size(frame, self.config.scale)
+        color = to_ycocg(tonemap(present(frame.color)))
+        nearest = nearest_sample((color.shape[-2], color.shape[-1]), size, frame.jitter)
+        seen = reprojected(frame, state, color, nearest, self.config.scale)
+        confidence = enlarge(color, size, frame.jitter, self.kernel, 3).peak
+        image = bounded_lanczos(color, size, frame.jitter)
+        settled = (2 - seen.still / phases(self.config.scale)).clamp(0, 1)
+        known = seen.weight > 0
+        share = settled * confidence / (seen.weight + confidence)
+        mixed = torch.where(known, seen.color + share * (image - seen.color), image)
+        weight = torch.where(known, seen.weight + confidence, FIRST + confidence).clamp(max=MOST)
+        made = untonemap(from_ycocg(mixed).clamp(0, 1))
+        return made, replace(seen, color=mixed, weight=weight)
+
+    def kernel(self, x: Tensor) -> Tensor:
+        """Confidence in a sample at a distance along one axis, in pixels of the render size."""
+        return gaussian(x * self.config.scale)
+
+
+class TAA(TAAU):
+    """TAAU at the size of the frames."""
+
+    scales: tuple[float, ...] = (1.0,)
+
+    def __init__(self, config: Config = Config(scale=1.0)) -> None:
+        super().__init__(config)
+
+
+def reprojected(frame: Frame, state: History, color: Tensor, nearest: Tensor, scale: float) -> History:
+    """What is known at the places where the frame's pixels were, as far as it may be believed."""
+    depth, motion = present(frame.depth), present(frame.motion)
+    motion = where(frame.reset, torch.zeros_like(motion), motion)
+    # From where this frame's samples lie to where the same points lie between the samples of the frame before.
+    between = (frame.jitter - state.jitter)[:, :, None, None]
+    hidden = disoccluded(depth, state.depth, motion + between) | frame.reset[:, None, None, None]
+    # Beside an edge the 3 x 3 pixels of that test hold both sides: what lay in front and moves elsewhere hid it, too.
+    before = fetch(torch.cat((state.depth, state.motion), 1), motion + between)
+    elsewhere = (before[:, 1:] - motion).abs().amax(1, keepdim=True) > ELSEWHERE
+    hidden = hidden | (elsewhere & (before[:, :1] < depth * 0.95))
+    moved = foreground(depth, motion)[1]
+    large = pick(moved, nearest) * scale
+    lost = pick(hidden.float(), nearest) + (~inside(large)).float() > 0
+    weight, still = warp(torch.cat((state.weight, state.still), 1), large).split(1, 1)
+    fraction = large - large.floor()
+    weight = weight * (1 - BLUR * (2 * fraction * (1 - fraction)).sum(1, keepdim=True))
+    speed = large.square().sum(1, keepdim=True).sqrt()
+
+    mean, square, changed = accumulated_moments(color, state, moved, between, hidden | ~inside(moved), scale)
+    deviation = (square - mean * mean).clamp(min=0).sqrt()
+    box = Box(pick(mean - GAMMA * deviation, nearest), pick(mean + GAMMA * deviation, nearest))
+    history = sharp_warp(state.color, large)
+    clamped = box.clamp(history)
+    off = (clamped - history).abs().amax(1, keepdim=True)
+    stirred = (speed > STIR) | (off > 0.02) | pick(changed.float(), nearest).bool()
+    return History(
+        color=clamped,
+        weight=torch.where(lost, 0.0, weight),
+        still=torch.where(stirred | lost, 0.0, still + 1),
+        depth=depth,
+        motion=motion,
+        mean=mean,
+        square=square,
+        jitter=frame.jitter,
+    )
+
+
+def accumulated_moments(
+    color: Tensor, state: History, moved: Tensor, between: Tensor, unknown: Tensor, scale: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Mean and square of 3 x 3 neighbourhoods over some frames, and where they cannot belong to what was there."""
+    mean, deviation = moments(color)
+    square = mean * mean + deviation * deviation
+    old_mean, old_square = warp(torch.cat((state.mean, state.square), 1), moved + between).split(3, 1)
+    old_deviation = (old_square - old_mean * old_mean).clamp(min=0).sqrt()
+    apart = (mean - old_mean).abs() > CHANGED * (old_deviation + deviation) + 0.02
+    changed = apart.any(1, keepdim=True)
+    speed = moved.square().sum(1, keepdim=True).sqrt() * (scale / STIR)
+    rate = STILL + (MOVING - STILL) * speed.clamp(max=1)
+    anew = unknown | changed
+    mixed = old_mean + rate * (mean - old_mean), old_square + rate * (square - old_square)
+    return torch.where(anew, mean, mixed[0]), torch.where(anew, square, mixed[1]), changed
