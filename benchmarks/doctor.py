@@ -44,6 +44,8 @@ class Corruption:
     change: Callable[[Frames], Frames]
     undecided: tuple[str, ...] = ()
     """Codes that say that this cannot be told."""
+    also: tuple[str, ...] = ()
+    """Codes that are right besides."""
 
 
 def vectors(change: Callable[[np.ndarray, int, Frames], np.ndarray]) -> Callable[[Frames], Frames]:
@@ -187,8 +189,12 @@ CORRUPTIONS: dict[str, Corruption] = {
     "UV": Corruption("motion", ("motion.unit",), vectors(lambda v, i, f: ndc(v) / 2), NO_MOTION),
     "NDC": Corruption("motion", ("motion.unit",), vectors(lambda v, i, f: ndc(v)), NO_MOTION),
     "code 0.5": Corruption("motion", ("motion.code",), vectors(lambda v, i, f: ndc(v) / 2 + 0.5), NO_MOTION),
-    "Unreal code": Corruption("motion", ("motion.code",), vectors(lambda v, i, f: unreal(v, False)), NO_MOTION),
-    "Unreal root": Corruption("motion", ("motion.code",), vectors(lambda v, i, f: unreal(v, True)), NO_MOTION),
+    "Unreal code": Corruption(
+        "motion", ("motion.code",), vectors(lambda v, i, f: unreal(v, False)), NO_MOTION, ("motion.x",)
+    ),
+    "Unreal root": Corruption(
+        "motion", ("motion.code",), vectors(lambda v, i, f: unreal(v, True)), NO_MOTION, ("motion.x",)
+    ),
     "no camera": Corruption("camera", ("motion.camera",), vectors(without_camera), NO_MOTION),
     "unwritten": Corruption("camera", ("motion.unwritten",), vectors(unwritten), NO_MOTION),
     "averaged": Corruption("edges", ("motion.averaged",), vectors(averaged)),
@@ -263,7 +269,7 @@ def judged(codes: Counter[str], unknown: set[str], applied: Sequence[Corruption]
     """right, undecidable or wrong."""
     fixed = set(codes)
     named = [fixed & set(c.codes) for c in applied]
-    extra = fixed - {code for c in applied for code in c.codes}
+    extra = fixed - {code for c in applied for code in (*c.codes, *c.also)}
     if all(named) and not extra:
         return "right"
     open_ = all(n or unknown & set(c.undecided) for n, c in zip(named, applied, strict=True))
@@ -296,13 +302,13 @@ def run(clip: Clip, names: Sequence[str]) -> dict[str, object] | None:
     codes.update({c for a in applied for c in a.codes if c in noted})  # a note that names it counts
     result = judged(codes, unknown, applied)
     return {
-        "clip": clip.path.name, "names": list(names), "result": result, "fix": sorted(codes), "unknown": sorted(unknown),
-        "verdict": report.verdict, "seconds": round(seconds, 1),
+        "clip": clip.path.name, "names": list(names), "result": result, "fix": sorted(codes),
+        "unknown": sorted(unknown), "verdict": report.verdict, "seconds": round(seconds, 1),
     }  # fmt: skip
 
 
 def plan(clips: Sequence[Clip], some: int, pairs: int) -> list[tuple[Clip, tuple[str, ...]]]:
-    """Healthy, alone (each on `some` clips in turn), and for each clip some pairs of different topics; always the same."""
+    """Healthy, alone (each on `some` clips in turn), and some pairs of different topics; the same on every run."""
     todo: list[tuple[Clip, tuple[str, ...]]] = [(clip, ()) for clip in clips]
     for turn in range(min(some, len(clips))):
         for place, name in enumerate(CORRUPTIONS):

@@ -185,6 +185,18 @@ def read(path: Path) -> Exr:
     return Exr(channels, text)
 
 
+def _refuse_hollow(path: Path, parts: list[Any]) -> None:
+    """Headers that promise far more pixels than the file can hold are refused before memory is asked for."""
+    promised = 0
+    for part in parts:
+        for window in ("dataWindow", "displayWindow"):
+            low, high = part.header[window]
+            width, height = int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
+            promised += 2 * width * height * len(part.header["channels"])
+    if promised > 2**30 and promised > 4000 * path.stat().st_size:
+        raise ClipError(f"{path} promises {promised} bytes of pixels, which it cannot hold; render or copy it again")
+
+
 def _on_display_window(path: Path, header: Mapping[str, Any], name: str, channel: Any) -> np.ndarray:
     if channel.xSampling != 1 or channel.ySampling != 1:
         raise ClipError(f"{path}: {name} is subsampled; write it at full resolution")

@@ -15,7 +15,6 @@ from framecast.frame import SKY
 from framecast.importers.decode import decode_depth
 from framecast.importers.settings import Depth
 
-
 Seen = tuple[int, np.ndarray, np.ndarray, np.ndarray]
 
 

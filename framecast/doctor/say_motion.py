@@ -151,7 +151,7 @@ def moving_parts(scene: Scene) -> int:
             before = misfit(part, z + whole[0], z + whole[1]).mean()
             after = misfit(part, z + whole[0] + dx, z + whole[1] + dy).mean()
             moved.setdefault(int(block), []).append(bool(np.hypot(dx, dy) > 0.5 and after < 0.7 * before))
-    return sum(np.mean(seen) > 0.6 for seen in moved.values())
+    return sum(float(np.mean(seen)) > 0.6 for seen in moved.values())
 
 
 def _unknown(why: str) -> Told:
