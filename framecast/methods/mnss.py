@@ -34,7 +34,7 @@ from framecast.frame import Frame
 from framecast.methods.nsrr import WHITE, decoded, difference, encoded, nearness, place, positions
 from framecast.methods.reproject import chosen, steps
 from framecast.recipe import Recipe
-from framecast.resample import enlarge, enlarged_motion, foreground, lanczos, size_at
+from framecast.resample import enlarge, enlarged_motion, foreground, size_at, tent
 from framecast.warp import inside
 
 TRUST = 2.0
@@ -144,7 +144,7 @@ class MNSS(nn.Module):
         small, size = ((x.shape[-2], x.shape[-1]) for x in (frame.depth, state.image))
         with torch.autocast(frame.depth.device.type, enabled=False):
             seen = torch.cat((tonemap(frame.color).clamp(max=WHITE), nearness(frame.depth)), 1)
-            current = enlarge(seen, size, frame.jitter, lanczos).image.clamp(0, WHITE)
+            current = enlarge(seen, size, frame.jitter, tent, 2).image
             history, known = moved(frame, state, size)
         trust = torch.sigmoid(self.trust((shown(current) - shown(history)).abs()).float()) * known
         repaired = current + trust * (history - current)

@@ -34,11 +34,14 @@ from framecast.frame import SKY, Frame
 from framecast.methods.reproject import chosen, steps
 from framecast.nets import padded
 from framecast.recipe import Recipe
-from framecast.resample import enlarge, lanczos, nearest_sample, size_at
+from framecast.resample import enlarge, nearest_sample, size_at, tent
 from framecast.warp import chain, pick
 
 PAST = 4
 """Earlier frames that the network sees."""
+
+BASE = 0.4
+"""Weight, in the mean of all samples, of the current frame enlarged; a sample on the pixel's centre has 1."""
 
 WHITE = 1 - 2.0**-10
 """Largest tone-mapped value that comes back: 1023 in scene-linear colour."""
@@ -217,7 +220,7 @@ class NSRR(nn.Module):
         x = torch.cat([values[:, 3:] * weight for values, weight in weighted], 1)
         if not self.config.residual:
             return self.reconstructed(x)
-        base = enlarge(now.color, size, now.jitter, lanczos).image.clamp(0, WHITE)
+        base = enlarge(now.color, size, now.jitter, tent, 2).image
         mean = encode_srgb(average([(values[:, :3], weight) for values, weight in weighted], base))
         return mean + self.reconstructed(torch.cat((x, mean), 1))
 
@@ -232,7 +235,7 @@ def average(
     weighted: Sequence[tuple[Float[Tensor, "b 3 H W"], Float[Tensor, "b 1 H W"]]], base: Float[Tensor, "b 3 H W"]
 ) -> Float[Tensor, "b 3 H W"]:
     """Weighted mean of the samples on each display pixel; `base`, weakly, where there are none."""
-    total, sum_of_weights = 0.1 * base, torch.full_like(base[:, :1], 0.1)
+    total, sum_of_weights = BASE * base, torch.full_like(base[:, :1], BASE)
     for values, weight in weighted:
         total, sum_of_weights = total + values * weight, sum_of_weights + weight
     return total / sum_of_weights
