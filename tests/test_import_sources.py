@@ -611,8 +611,9 @@ def test_sources_can_be_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 def test_what_is_not_recognised_is_told_what_was_looked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     exr.write(tmp_path / "x" / "a_0001.exr", {"foo.R": np.zeros((4, 4), np.float32)})
     said = refused(capsys, "import", tmp_path / "x", "-o", tmp_path / "clip")
-    assert "holds 1 image files, such as a_{frame}.exr with the channels foo.R" in said
-    assert "looked for Blender passes (Combined, Vector); passes named MovieRenderQueue_MotionVectors" in said
+    assert "holds 1 image file, such as a_{frame}.exr with the channels foo.R" in said
+    assert "looked for what Blender, unreal, unity, extranet" in said
+    assert len(said) < 500
     assert f"framecast doctor {tmp_path / 'x'}" in said
     assert "is not there; give the folder" in refused(capsys, "import", tmp_path / "y", "-o", tmp_path / "clip")
 

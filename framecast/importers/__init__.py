@@ -92,17 +92,16 @@ def _is_blenders(folder: Path) -> bool:
 
 def _unrecognised(listing: Listing, source: str | None) -> str:
     """What was looked for, what there is, and what to do."""
-    looks = {name: module.LOOKS for name, module in SOURCES.items()}
-    sought = looks[source] if source else "Blender passes (Combined, Vector); " + "; ".join(looks.values())
+    sought = SOURCES[source].LOOKS if source else f"what Blender, {', '.join(SOURCES)} write (docs/importers.md)"
     patterns = listing.patterns()
-    what = f"{len(listing.names)} image files" if listing.names else "no image file"
+    what = f"{len(listing.names)} image file{'s' * (len(listing.names) > 1)}"
     such = ""
     if patterns:
         pattern, name = next(iter(patterns.items()))
         such = f", such as {pattern} with the channels {images.short(images.about(listing.folder / name).names)}"
     return (
-        f"{listing.folder} is not recognised: it holds {what}{such}; looked for {sought}. "
-        f"Let framecast doctor {listing.folder} find out what the files mean, or write a {NAME} (docs/importers.md)"
+        f"{listing.folder} is not recognised: it holds {what}{such}; looked for {sought}; "
+        f"let framecast doctor {listing.folder} find out what the files mean, or write a {NAME} by hand"
     )
 
 
