@@ -223,6 +223,22 @@ def flipped_image(image: Tensor, *flips: Flip) -> Tensor:
     return turned.flip(axes).contiguous()
 
 
+def recoloured(frame: Frame, channels: Sequence[int]) -> Frame:
+    """The frame with the channels of its colours, and of the surfaces that they light, in another order."""
+    colours = {name: getattr(frame, name) for name in ("color", "albedo")}
+    return replace(frame, **{name: image[:, list(channels)] for name, image in colours.items() if image is not None})
+
+
+def turned(frame: Frame, world: Float[Tensor, "3 3"]) -> Frame:
+    """The same picture of a world turned (and mirrored, where the matrix does) about its origin.
+
+    Where light comes from is then no longer told by the axes of a scene, which a network could learn by heart.
+    """
+    normal = None if frame.normal is None else torch.einsum("ij,bjhw->bihw", world, frame.normal)
+    whole = torch.block_diag(world, torch.ones(1, 1))
+    return replace(frame, normal=normal, view=None if frame.view is None else frame.view @ whole.T)
+
+
 # Samples.
 
 
@@ -265,7 +281,12 @@ class Samples(Dataset[Batch]):
         square: tuple[Flip, ...] = ("transpose",) if size[0] == size[1] else ()
         flips = [flip for flip in (*square, "horizontal", "vertical") if rng.random() < 0.5]
         frames, targets = [flipped(frame, *flips) for frame in frames], flipped_image(targets, *flips)
-        gain = 2.0 ** float(rng.uniform(-self.recipe.stops, self.recipe.stops))
+        if self.recipe.recolour:
+            channels, world = rng.permutation(3), torch.linalg.qr(torch.from_numpy(rng.normal(size=(3, 3)))).Q.float()
+            frames = [turned(recoloured(frame, channels.tolist()), world) for frame in frames]
+            targets = targets[:, :, channels.tolist()]
+        exposure, tint = rng.uniform(-self.recipe.stops, self.recipe.stops), rng.uniform(-0.5, 0.5, 3)
+        gain = torch.from_numpy(2.0 ** (exposure + self.recipe.recolour * tint)).float()[:, None, None]
         bright = tuple(f if f.color is None else replace(f, color=f.color * gain) for f in frames)
         name = f"{source.clip.path.name}, frame {source.clip.shown[start].number}, row {corner[0]}, column {corner[1]}"
         return Batch(bright, targets * gain, (name,))

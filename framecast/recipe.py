@@ -44,3 +44,6 @@ class Recipe:
     """Largest norm of the gradient; longer ones are shortened to it."""
     stops: float = 1.0
     """Samples are brightened and darkened at random by up to this many factors of two."""
+    recolour: bool = True
+    """Samples have their colour channels exchanged and tinted by up to half a factor of two, and their world turned, at
+    random: six scenes have few colours, and one sun each."""

@@ -11,14 +11,26 @@ from passing import shot, write_shots
 from torch import Tensor
 
 from framecast.clip import Clip, ClipError, Record, open_clip
-from framecast.data import MIRRORS, Footage, Samples, batches, flipped, flipped_image, footage, joined, window
+from framecast.data import (
+    MIRRORS,
+    Footage,
+    Samples,
+    batches,
+    flipped,
+    flipped_image,
+    footage,
+    joined,
+    recoloured,
+    turned,
+    window,
+)
 from framecast.frame import Frame, camera_motion, facing, perspective
 from framecast.methods.extranet import ExtraNet, recipe
-from framecast.methods.reproject import geometry, steps
+from framecast.methods.reproject import geometry, light, steps
 from framecast.warp import warp
 
 FIELDS = tuple(dict.fromkeys((*ExtraNet.needs, *ExtraNet.needs_generated)))
-SMALL = replace(recipe, crop=(16, 16), batch=4, steps=3)
+SMALL = replace(recipe, crop=(16, 16), batch=4, steps=3, recolour=False)
 
 
 @pytest.fixture
@@ -114,6 +126,42 @@ def test_flips_together_are_one_after_the_other() -> None:
     at_once = flipped(now, "transpose", "horizontal", "vertical")
     for name in ("color", "motion", "normal", "view", "projection", "jitter"):
         torch.testing.assert_close(getattr(at_once, name), getattr(one_by_one, name))
+
+
+# Colours, and where the light comes from.
+
+
+def test_a_turned_world_looks_the_same() -> None:
+    """Positions and normals turn, and what is seen from the camera does not: motion, facing, what is valid."""
+    now, last = turning()
+    world = torch.linalg.qr(torch.randn(3, 3)).Q
+    a, b = turned(now, world), turned(last, world)
+    expected = torch.einsum("ij,bjhw->bihw", world, geometry(now).position)
+    torch.testing.assert_close(geometry(a).position, expected, atol=1e-4, rtol=0)
+    torch.testing.assert_close(geometry(a).facing, geometry(now).facing, atol=1e-4, rtol=0)
+    torch.testing.assert_close(camera_motion(a, b), now.motion, atol=1e-3, rtol=0)
+    assert not torch.allclose(a.normal, now.normal, atol=0.1)
+
+
+def test_recoloured_surfaces_hold_the_recoloured_light() -> None:
+    now, _ = turning()
+    other = recoloured(now, (2, 0, 1))
+    torch.testing.assert_close(light(other), light(now)[:, [2, 0, 1]])
+    assert torch.equal(other.normal, now.normal)
+
+
+def test_a_recoloured_sample_is_the_plain_one_in_other_colours(source: Footage) -> None:
+    """Its truth holds the same values, but for one factor for each channel, which its frames share."""
+    plain, other = samples(source, stops=0.0)[3], samples(source, stops=0.0, recolour=True)[3]
+    truths = [sample.targets[0, 0].flatten(1) for sample in (plain, other)]
+    order = [int((truths[0][:, :1] / truths[0] * row / row[0]).var(1).argmin()) for row in truths[1]]
+    assert sorted(order) == [0, 1, 2]
+    gain = truths[1] / truths[0][order]
+    assert float((gain.amax(1) - gain.amin(1)).max()) < 1e-3
+    assert float((gain.mean(1).log2()).abs().max()) <= 0.5
+    for a, b in zip(plain.frames[:3], other.frames[:3], strict=True):
+        torch.testing.assert_close(b.color[0], a.color[0, order] * gain.mean(1)[:, None, None], atol=1e-4, rtol=1e-3)
+        assert torch.equal(b.motion, a.motion)
 
 
 # The cache.

@@ -286,6 +286,23 @@ def test_losses_under_bfloat16_are_near_those_of_float32() -> None:
 # The call.
 
 
+def test_the_sky_is_warped_and_not_shaded() -> None:
+    """A network of any weights leaves pixels at SKY as the warp made them, and changes the others."""
+
+    def under_a_sky(frame: Frame) -> Frame:
+        depth = frame.depth.clone()
+        depth[..., :6, :] = SKY
+        return replace(frame, depth=depth)
+
+    method, still = ExtraNet().eval(), silent()
+    nn.init.normal_(method.network.leave.weight)
+    frames = [under_a_sky(shot(t)) for t in (0.0, 2.0, 4.0)]
+    request = unshaded(under_a_sky(shot(5.0, span=1.0)))
+    image, warped = (each(request, fed(each, frames))[0] for each in (method, still))
+    assert torch.equal(image[..., :6, :], warped[..., :6, :])
+    assert not torch.allclose(image[..., 6:, :], warped[..., 6:, :], atol=1e-2)
+
+
 def test_the_image_is_the_warped_one_plus_what_the_network_adds() -> None:
     method = silent()
     state = fed(method, [shot(t, square=1.0) for t in (0.0, 2.0, 4.0)])

@@ -14,6 +14,7 @@ Differs: Motion is accumulated from the newest frame on, each vector read where 
          Position tolerance is relative to depth, so that it does not depend on the scene's unit.
          The divisor of demodulation is base colour + 0.04 (1 - metallic), and 1 at the sky: the sky needs no image of
          its own. Jitter of all frames is part of the motion.
+         The residual is 0 at the sky, which is its own light.
          Losses compare colours in the log domain, not light: an error of light on a black surface is not seen.
          They are means of each image, so that they do not depend on how a batch is spread over processes.
          `Config(scale=2)` is ExtraNet+, the baseline of FASSET (Qin et al.): zeros between the pixels, the network at
@@ -243,7 +244,9 @@ class ExtraNet(nn.Module):
         images = torch.cat((inputs.base, inputs.occluded), 1)
         x = torch.cat((images, images * inputs.mask, inputs.features), 1)
         past = tuple(padded(scattered(image, jitter, scale), 8) for image in inputs.past)
+        surfaces = (inputs.features[:, 3:4] < 1).float()  # the sky is its own light, and only warped
         residual = self.network(padded(scattered(x, jitter, scale), 8), past).float()
+        residual = residual if scale > 1 else residual[..., : surfaces.shape[-2], : surfaces.shape[-1]] * surfaces
         base = enlarged(inputs.base if self.config.residual == "warp" else inputs.occluded, jitter, scale)
         return residual[..., : base.shape[-2], : base.shape[-1]] + base
 
