@@ -1,23 +1,30 @@
 #!/bin/sh
-# ExtraNet from nothing: training clips rendered, the network trained, the result compared on held-out scenes.
+# ExtraNet from nothing: clips rendered, the network trained, the result compared on held-out scenes.
 #
 #     examples/train_extranet.sh [folder] [steps]
 #
-# Interrupted and started again it goes on where it was. With 2 steps it runs in minutes on a CPU; good results take
-# some ten thousand steps on a GPU (set DEVICE=cuda).
+# Interrupted and started again it goes on where it was. With 2 steps and SMALL=1 it runs in minutes on a CPU; the
+# shipped weights took some 8000 steps on one CPU core (set DEVICE=cuda where there is a GPU).
 set -e
 out=${1:-runs/extranet}
-steps=${2:-12000}
+steps=${2:-8000}
 device=${DEVICE:-cpu}
+seeds=${SMALL:+0}
+frames=${SMALL:+8}
 
-for seed in 0 1 2; do
+# Half of the clips with jitter, half without, so that the network serves both.
+for seed in ${seeds:-0 1 2 3}; do
+  jitter=$([ "$seed" -lt 2 ] && echo --jitter || echo --no-jitter)
   for scene in courtyard workshop gallery tramway neon forest; do
-    framecast render "$scene" -o "$out/clips/train/$scene-$seed" --seed "$seed" --size 640x360 --scale 1 --samples 0
+    framecast render "$scene" -o "$out/clips/train/$scene-$seed" --seed "$seed" --size 320x180 --scale 1 \
+      --samples 0 --frames "${frames:-32}" "$jitter"
   done
 done
 for scene in harbor greenhouse hangar clockwork pond; do
-  framecast render "$scene" -o "$out/clips/test/$scene" --size 640x360 --scale 1 --samples 0
+  framecast render "$scene" -o "$out/clips/test/$scene" --size 320x180 --scale 1 --samples 1 --frames "${frames:-25}" \
+    --no-jitter
 done
 
-framecast train extranet --clips "$out/clips/train/*" --out "$out/run" --steps "$steps" --device "$device"
-framecast evaluate "$out"/clips/test/* --mode extrapolate --methods warp,warp-occlusion --json "$out/baselines.json"
+framecast train extranet-on-occlusion --clips "$out/clips/train/*" --out "$out/run" --steps "$steps" --batch 4 --crop 128 \
+  --device "$device"
+framecast evaluate "$out"/clips/test/* --mode extrapolate --methods warp,warp-occlusion,extranet --json "$out/results.json"
