@@ -44,12 +44,12 @@ def halton(start: int, length: int, count: int) -> np.ndarray:
 
 def sequence_of(frames: Sequence[int], measured: np.ndarray) -> tuple[int, int, Match] | None:
     """Length and start of the Halton sequence behind shifts of frames against the ones before; None: no such."""
-    last = max(frames) + 1
+    later = np.array(frames)
+    phases = halton(0, 1 << 30, max(LENGTHS))
     found = []
     for length in LENGTHS:
         for start in range(length):
-            positions = halton(start, length, last)
-            expected = np.array([positions[t] - positions[t - 1] for t in frames])
+            expected = phases[(start + later) % length] - phases[(start + later - 1) % length]
             match = compare(measured, expected)
             if all(0.35 < abs(s) < 1.3 for s in match.slope):
                 found.append((match.explained - 0.0005 * length, length, start, match))

@@ -1,0 +1,324 @@
+"""The doctor on a world that is known on paper: every answer has to follow from the pictures."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import doctor_scene
+import numpy as np
+import pytest
+from doctor_scene import SIZE, changed, frames, write
+
+from framecast import exr
+from framecast.cli import main
+from framecast.doctor import camera, motion
+from framecast.doctor.depth import planarity
+from framecast.doctor.edges import edges_of
+from framecast.doctor.examine import examine
+from framecast.doctor.jitter import halton, sequence_of
+from framecast.doctor.motion import displacement
+from framecast.doctor.say_depth import tangents_of, tell_depth
+from framecast.doctor.say_jitter import tell_jitter
+from framecast.doctor.say_motion import fields_of, tell_motion
+from framecast.doctor.say_rest import tell_color, tell_exposure, tell_normals, tell_offset, tell_padding
+from framecast.doctor.source import open_source
+from framecast.doctor.surface import normals_of, tone_of
+from framecast.doctor.take import Take, load
+from framecast.doctor.timeline import exposure_of, steps_of
+from framecast.importers.decode import decode_motion
+from framecast.importers.encode import encode_depth, encode_motion
+from framecast.importers.folder import open_folder
+from framecast.importers.settings import Color, Depth, Jitter, Motion, Normal, read_settings
+
+MOTION = Motion(files=("{frame}.exr",), channels=("X", "Y"))
+
+
+@pytest.fixture(scope="module")
+def take(tmp_path_factory: pytest.TempPathFactory) -> Take:
+    """Eight frames of the world, as the doctor loads them."""
+    return load(open_source(write(tmp_path_factory.mktemp("world") / "clip", frames())))
+
+
+@pytest.fixture(autouse=True)
+def _few_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pictures are small, and so is what has to be looked at."""
+    monkeypatch.setattr(motion, "POINTS", 1600)
+    monkeypatch.setattr(camera, "POINTS", 1600)
+    monkeypatch.setattr(motion, "PAIRS", 5)
+
+
+def altered(take: Take, name: str, change) -> Take:
+    return replace(take, stored=[{**s, name: change(s[name])} if name in s else s for s in take.stored])
+
+
+def fixes(findings) -> set[str]:
+    return {f.code for f in findings if f.state == "fix"}
+
+
+def test_vectors_in_points_are_those_that_importers_decode() -> None:
+    stored = np.random.default_rng(0).uniform(0.3, 0.7, (2, 6, 9)).astype(np.float32)
+    for units in ("pixels", "uv", "ndc"):
+        for packing, bias in (("none", (0.0, 0.0)), ("none", (0.5, 0.4)), ("unreal_sqrt", (0.5, 0.5))):
+            for direction in ("current->previous", "previous->current"):
+                m = replace(
+                    MOTION,
+                    units=units,
+                    packing=packing,
+                    bias=bias,
+                    direction=direction,
+                    sign=(1.0, -1.0),
+                    scale=(2.0, 3.0),
+                )
+                expected = decode_motion(stored, m, (6, 9))
+                got = displacement(stored.reshape(2, -1), m, (6, 9), (6, 9)).reshape(2, 6, 9)
+                np.testing.assert_allclose(got, expected, rtol=1e-5, atol=1e-5)
+
+
+READINGS = {
+    "motion.sign": replace(MOTION, direction="previous->current"),
+    "motion.y": replace(MOTION, sign=(1.0, -1.0)),
+    "motion.x": replace(MOTION, sign=(-1.0, 1.0)),
+    "motion.length": replace(MOTION, scale=(2.0, 2.0)),
+    "motion.unit": replace(MOTION, units="uv", direction="previous->current"),
+    "motion.code": replace(MOTION, units="ndc", sign=(1.0, -1.0), bias=(32767 / 65535,) * 2, scale=(4.008,) * 2),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("code", READINGS)
+def test_stored_in_another_convention_vectors_are_read_in_that(take: Take, code: str) -> None:
+    stored = altered(take, "motion", lambda v: encode_motion(v, READINGS[code]).astype(np.float32))
+    told = tell_motion(stored, MOTION)
+    assert code in fixes(told.findings)
+    found = fields_of(stored, told, [4])[4]
+    apart = np.abs(found - take.stored[4]["motion"]).max(0)
+    assert np.median(apart) < 0.05  # pixels
+    assert told.answer is not None
+    assert told.answer.best.mean < 0.75 * told.answer.claim.mean
+
+
+def test_a_still_picture_is_undecidable_and_says_what_to_record(tmp_path: Path) -> None:
+    examined = examine(write(tmp_path / "clip", frames(5, step=0, speed=0)))
+    assert examined.report.verdict == "undecidable"
+    assert "record a camera that moves" in examined.report.text()
+
+
+def test_without_texture_nothing_is_claimed(take: Take) -> None:
+    flat = replace(take, images=[np.zeros_like(image) for image in take.images])
+    (finding,) = tell_motion(flat, MOTION).findings
+    assert finding.state == "unknown"
+    assert "no texture" in finding.says
+
+
+def test_empty_vectors_of_a_moving_picture_are_no_still_picture(take: Take) -> None:
+    told = tell_motion(altered(take, "motion", np.zeros_like), MOTION)
+    assert fixes(told.findings) == {"motion.empty"}
+
+
+def test_vectors_without_the_cameras_part_and_vectors_not_written(take: Take) -> None:
+    moving = [np.abs(s["motion"] - _camera(t)).max(0) > 0.02 for t, s in enumerate(take.stored)]
+    lacking = [
+        {**s, "motion": np.where(m, s["motion"] - _camera(t), 0)}
+        for t, (s, m) in enumerate(zip(take.stored, moving, strict=True))
+    ]
+    empty = [{**s, "motion": np.where(m, s["motion"], 0)} for s, m in zip(take.stored, moving, strict=True)]
+    assert "motion.camera" in fixes(tell_motion(replace(take, stored=lacking), MOTION).findings)
+    assert "motion.unwritten" in fixes(tell_motion(replace(take, stored=empty), MOTION).findings)
+
+
+def _camera(t: int) -> np.ndarray:
+    """The vectors of the world if the card did not slide."""
+    record = frames(t + 1)[t][0]
+    still = doctor_scene.frame(t, record.jitter)
+    y, x = np.mgrid[0 : SIZE[0], 0 : SIZE[1]] + 0.5
+    here = np.stack([x + record.jitter[0], y + record.jitter[1]])
+    pose = doctor_scene.camera(t, 1.0)
+    focal = SIZE[0] / 2 / np.tan(doctor_scene.FOV / 2)
+    z = still["depth"][0].astype(float)
+    local = np.stack([(here[0] - SIZE[1] / 2) / focal * z, (SIZE[0] / 2 - here[1]) / focal * z, -z, np.ones_like(z)])
+    world = np.einsum("ij,jhw->ihw", pose, local)[:3]
+    return (doctor_scene.places(world, doctor_scene.camera(t - 1, 1.0)) - here).astype(np.float32)
+
+
+def test_halton_is_recognised_from_shifts_with_phase_and_sign() -> None:
+    positions = halton(5, 16, 12) * (1, -1)
+    shifts = np.diff(positions, axis=0) * 0.8
+    found = sequence_of(range(1, 12), shifts)
+    assert found is not None
+    length, start, match = found
+    assert (length, start) == (16, 5)
+    assert match.slope[0] == pytest.approx(0.8)
+    assert match.slope[1] == pytest.approx(-0.8)
+    assert sequence_of(range(1, 12), np.random.default_rng(0).normal(size=(11, 2))) is None
+
+
+def test_jitter_turned_lost_and_inside_the_vectors(take: Take) -> None:
+    told = tell_motion(take, MOTION)
+    assert told.answer is not None
+    shake, every = told.answer.shake, fields_of(take, told, take.pairs)
+    (fine,), _, inside = tell_jitter(take, shake, every, Jitter())
+    assert (fine.state, inside) == ("fine", False)
+    turned = replace(take, records=[replace(r, jitter=(r.jitter[0], -r.jitter[1])) for r in take.records])
+    told = tell_motion(turned, MOTION)
+    assert told.answer is not None
+    (finding,), jitter, _ = tell_jitter(turned, told.answer.shake, every, Jitter())
+    assert finding.code == "jitter.sign"
+    assert jitter.sign == (1.0, -1.0)
+    lost = replace(take, recorded=frozenset())
+    (finding,), jitter, _ = tell_jitter(lost, replace(shake, recorded=None), every, Jitter())
+    assert finding.code == "jitter.unrecorded"
+    assert (jitter.halton, jitter.start) == (8, 0)
+    steps = [np.subtract(r.jitter, take.records[max(t - 1, 0)].jitter) for t, r in enumerate(take.records)]
+    held = replace(
+        take,
+        stored=[
+            {**s, "motion": s["motion"] + d[:, None, None].astype(np.float32)}
+            for s, d in zip(take.stored, steps, strict=True)
+        ],
+    )
+    told = tell_motion(held, MOTION)
+    assert told.answer is not None
+    (finding,), _, inside = tell_jitter(held, told.answer.shake, fields_of(held, told, held.pairs), Jitter())
+    assert finding.code == "motion.jittered"
+    assert inside
+
+
+@pytest.mark.parametrize(("kind", "near"), [("euclidean", 0.0), ("reversed", 0.1), ("inverse", 0.0)])
+def test_kinds_of_depth_follow_from_planes_and_parallax(take: Take, kind: str, near: float) -> None:
+    about = Depth(files=("{frame}.exr",), channels=("Z",), kind=kind, near=near)
+    stored = altered(take, "depth", lambda z: encode_depth(z, about, take.records[0].projection).astype(np.float32))
+    vectors = {t: take.stored[t]["motion"] for t in (2, 4, 6)}
+    findings, found = tell_depth(stored, replace(about, kind="planar", near=0.0), vectors, 32)
+    assert fixes(findings) == {"depth.kind"}
+    assert found is not None
+    assert found.kind in ({kind, "reversed"} if kind == "inverse" else {kind})
+    findings, _ = tell_depth(stored, about, vectors, 32)
+    assert fixes(findings) == set()
+
+
+def test_planes_are_straight_in_inverse_depth_alone(take: Take) -> None:
+    law = planarity(take, tangents_of(take))
+    assert law.misfits["planar"] < 0.1 * min(m for k, m in law.misfits.items() if k != "planar")
+
+
+def test_depth_in_centimetres_under_cameras_in_metres(take: Take) -> None:
+    about = Depth(files=("{frame}.exr",), channels=("Z",))
+    stored = altered(take, "depth", lambda z: np.where(z > 60000, z, z * 100).astype(np.float32))
+    findings, found = tell_depth(stored, about, {t: take.stored[t]["motion"] for t in (2, 4, 6)}, 32)
+    assert fixes(findings) == {"depth.scale"}
+    assert found is not None
+    assert found.scale == pytest.approx(0.01, rel=0.05)
+
+
+def test_normals_in_view_space_turned_and_encoded(take: Take) -> None:
+    about = Normal(files=("{frame}.exr",), channels=("X", "Y", "Z"))
+    depths = {t: take.stored[t]["depth"][0] for t in take.full("normal")}
+    tangent = tangents_of(take)[0]
+
+    def told(change) -> tuple[set[str], Normal | None]:
+        findings, found = tell_normals(normals_of(altered(take, "normal", change), depths, tangent), about)
+        return fixes(findings), found
+
+    assert told(lambda n: n)[0] == set()
+    codes, found = told(lambda n: n * np.array([1, -1, 1], np.float32)[:, None, None])
+    assert codes == {"normal.sign"}
+    assert found is not None
+    assert found.sign[1] == -1
+    codes, found = told(lambda n: n / 2 + 0.5)
+    assert codes == {"normal.encoded"}
+    assert found is not None
+    assert found.encoded
+    views = [np.asarray(r.view)[:3, :3] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]) for r in take.records]
+    tilted = replace(
+        take,
+        records=[
+            replace(r, view=tuple(map(tuple, np.vstack([np.hstack([v, np.zeros((3, 1))]), [0, 0, 0, 1]]).tolist())))
+            for r, v in zip(take.records, views, strict=True)
+        ],
+    )
+    findings, found = tell_normals(normals_of(tilted, depths, tangent), about)  # as stored they are nearly view space
+    assert fixes(findings) == {"normal.space"}
+
+
+def test_display_colour_is_told_by_albedo_edges(take: Take) -> None:
+    about = Color(files=("{frame}.exr",), channels=("R", "G", "B"))
+    assert fixes(tell_color(tone_of(take), about, 32)[0]) == set()
+    encoded = altered(take, "color", lambda c: np.maximum(c, 0) ** (1 / 2.2))
+    findings, found = tell_color(tone_of(encoded), about, 32)
+    assert fixes(findings) == {"color.encoding"}
+    assert found.encoding == "srgb"
+
+
+def test_exposure_that_changes_all_over_the_picture(take: Take) -> None:
+    told = tell_motion(take, MOTION)
+    assert told.answer is not None
+    reading, shifts = told.answer.best.reading, told.answer.shifts
+    assert tell_exposure(exposure_of(take, steps_of(take, reading, shifts)), 8) == ([], None)
+    factors = 1 + 0.2 * (np.arange(8) % 2)
+    lit = replace(take, images=[(i + np.log(f)).astype(np.float16) for i, f in zip(take.images, factors, strict=True)])
+    findings, found = tell_exposure(exposure_of(lit, steps_of(lit, reading, shifts)), 8)
+    assert fixes(findings) == {"color.exposure"}
+    np.testing.assert_allclose(found, factors, rtol=0.05)
+
+
+def test_vectors_of_another_frame_jump_where_that_ones_depth_does(take: Take) -> None:
+    assert tell_offset(take, 0) == ([], 0)
+    late = [{**s, "motion": take.stored[max(t - 1, 0)]["motion"]} for t, s in enumerate(take.stored)]
+    findings, offset = tell_offset(replace(take, stored=late), 0)
+    assert fixes(findings) == {"motion.offset"}
+    assert offset == -1
+
+
+def test_dilated_vectors_reach_one_pixel_beyond_the_card() -> None:
+    depth = np.full((20, 30), 9.0)
+    depth[5:15, 10:20] = 3
+    crisp, wide = (np.zeros((2, 20, 30), np.float32) for _ in range(2))
+    crisp[0, 5:15, 10:20] = 4
+    wide[0, 4:16, 9:21] = 4
+    assert edges_of(None, {0: crisp}, {0: depth}).dilated == 0  # type: ignore[arg-type]
+    assert edges_of(None, {0: wide}, {0: depth}).dilated == 1  # type: ignore[arg-type]
+    soft = (crisp + np.roll(crisp, 1, 2) + np.roll(crisp, -1, 2)) / 3
+    assert edges_of(None, {0: soft}, {0: depth}).mixed > 0.5  # type: ignore[arg-type]
+
+
+def test_padding_is_cut_off(take: Take) -> None:
+    padded = replace(take, images=[np.pad(i, ((0, 0), (0, 6), (0, 4)), constant_values=-3) for i in take.images])
+    findings, crop = tell_padding(padded)
+    assert fixes(findings) == {"frames.padded"}
+    assert crop is not None
+    assert abs(crop[0] - SIZE[1]) <= 1
+    assert abs(crop[1] - SIZE[0]) <= 1
+    assert tell_padding(take) == ([], None)
+
+
+def test_the_command_writes_settings_with_which_the_importer_reads_the_truth(tmp_path: Path, capsys) -> None:
+    world, dump = frames(7), tmp_path / "dump"
+    about = replace(MOTION, units="uv", direction="previous->current", sign=(1.0, -1.0))
+    for record, layers in world:
+        channels = {f"beauty.{c}": p for c, p in zip("RGB", layers["color"], strict=True)}
+        channels |= dict(zip(("velocity.u", "velocity.v"), encode_motion(layers["motion"], about), strict=True))
+        channels |= {"dist.Z": (0.1 / layers["depth"][0]).astype(np.float32)}
+        exr.write(dump / f"shot.{record.number:04d}.exr", channels)
+    (dump / "notes.txt").write_text("not an image")
+    assert main(["doctor", str(dump), "-o", str(tmp_path / "out"), "--json"]) == 1
+    said = json.loads(capsys.readouterr().out)
+    assert {"motion.x", "motion.unit"} <= {f["code"] for f in said["findings"]}
+    assert (tmp_path / "out" / "doctor.png").stat().st_size > 10_000
+    clip = open_folder(dump, read_settings(tmp_path / "out"))
+    got = clip[3].motion
+    assert got is not None
+    apart = np.abs(got[0].numpy() - world[3][1]["motion"]).max(0)
+    assert np.median(apart) < 0.02
+
+
+def test_a_healthy_clip_ends_with_0(tmp_path: Path, capsys) -> None:
+    clip = write(tmp_path / "clip", frames())
+    assert main(["doctor", str(clip), "-o", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "healthy" in said
+    assert "FIX" not in said
+
+
+def test_a_turned_axis_ends_with_1_and_says_so_in_words(tmp_path: Path, capsys) -> None:
+    flipped = changed(frames(), "motion", lambda v: v * np.array([1, -1])[:, None, None])
+    assert main(["doctor", str(write(tmp_path / "clip", flipped)), "-o", str(tmp_path / "out")]) == 1
+    assert "vertical motion is upside down" in capsys.readouterr().out
