@@ -53,7 +53,9 @@ def resample(
     for plane in image.unbind(1):
         flat = plane.flatten(1)
         taps = [flat.gather(1, (r + c).flatten(1).long()).view(column.shape) for r in rows for c in columns]
-        value = sum(weight * tap for weight, tap in zip(weights, taps, strict=True))
+        value = torch.zeros_like(taps[0])
+        for weight, tap in zip(weights, taps, strict=True):
+            value = value + weight * tap
         results.append(_between([taps[k] for k in INNER], value) if bounded else value)
     return torch.stack(results, 1)
 

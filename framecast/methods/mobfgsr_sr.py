@@ -15,12 +15,15 @@ from framecast.resample import Box, catmull_rom, enlarge, enlarged_motion, neare
 from framecast.table import LEVELS, resample
 from framecast.warp import disoccluded, fetch, inside, pick
 
-PATIENCE = 8
-"""Frames for which a still pixel may lie outside of its neighbourhood's colours before it is clamped: a wire thinner
-than a pixel is met by few of the jittered samples."""
+PATIENCE = 32.0
+"""Frames for which a still pixel may lie a little outside of its neighbourhood's colours before it is clamped: a cycle
+of jitter at twice the size, in which samples meet whatever is thinner than a pixel."""
 
-STILL = 64.0
-"""Samples' worth that a still history may weigh."""
+ALARM = 16.0
+"""How many more frames each of them counts for, per distance outside: light that changes is not waited for so long."""
+
+REST = 4.0
+"""Samples' worth after which new samples change still pixels less and less, so that they come to rest."""
 
 LEAST = 0.02
 """Weight of the farthest sample, so that every pixel is made of something."""
@@ -39,7 +42,7 @@ class Enlarging:
     weight: Float[Tensor, "b 1 H W"]
     """How many samples, each counted by how near it lay, the image is made of."""
     missed: Float[Tensor, "b 1 H W"]
-    """Frames in a row in which a still pixel lay outside of its neighbourhood."""
+    """Frames in a row in which a still pixel lay outside of its neighbourhood; more where it lay far outside."""
 
 
 torch.export.register_dataclass(Enlarging)
@@ -112,12 +115,15 @@ def advance(
     history = resample(state.image, motion, table)
     clamped = within(neighbourhood(now.color), history, now.nearest)
     still = (motion.abs().amax(1, keepdim=True) < 0.5 / LEVELS) & kept
-    outside = (clamped != history).any(1, keepdim=True)
-    missed = torch.where(still & outside, state.missed + 1, 0.0)
+    outside = (clamped - history).abs().amax(1, keepdim=True)
+    missed = torch.where(still & (outside > 0), state.missed + 1 + ALARM * outside, 0.0)
     steady = still & (missed <= PATIENCE)
-    limit = torch.where(steady, STILL, 1 / blend - 1)
-    weight = torch.where(kept, torch.minimum(fetch(state.weight, motion), limit), 0.0)
     history = torch.where(steady, history, clamped)
-    image = history + now.weight / (weight + now.weight) * (now.image - history)
+    # There is time to wait for samples close to still pixels, which makes sharper images: the others count less.
+    sample = torch.where(steady, now.weight**2, now.weight)
+    weight = fetch(state.weight, motion)
+    weight = torch.where(steady, weight, torch.where(kept, weight.clamp(max=1 / blend - 1), 0.0)) + sample
+    share = sample / weight * torch.where(steady, (REST / weight).clamp(max=1), 1.0)
+    image = history + share * (now.image - history)
     before = torch.where(frame.reset[:, None, None, None], image, state.image)
-    return Enlarging(pair, before, image, weight + now.weight, missed)
+    return Enlarging(pair, before, image, weight, missed)
