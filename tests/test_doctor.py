@@ -277,7 +277,7 @@ def test_dilated_vectors_reach_one_pixel_beyond_the_card() -> None:
     assert edges_of(None, {0: crisp}, {0: depth}).dilated == 0  # type: ignore[arg-type]
     assert edges_of(None, {0: wide}, {0: depth}).dilated == 1  # type: ignore[arg-type]
     soft = (crisp + np.roll(crisp, 1, 2) + np.roll(crisp, -1, 2)) / 3
-    assert edges_of(None, {0: soft}, {0: depth}).mixed > 0.5  # type: ignore[arg-type]
+    assert edges_of(None, {0: soft}, {0: depth}).mixed > 0.4  # type: ignore[arg-type]
 
 
 def test_padding_is_cut_off(take: Take) -> None:

@@ -24,7 +24,7 @@ from framecast.doctor.say_rest import (
     tell_padding,
     tell_time,
 )
-from framecast.doctor.search import OTHER_TIME, Shake, measured_scale
+from framecast.doctor.search import Shake, measured_scale
 from framecast.doctor.source import Source, open_source
 from framecast.doctor.surface import normals_of, tone_of
 from framecast.doctor.take import Take, load
@@ -145,16 +145,8 @@ def _vectors(take: Take, claim: Motion | None) -> tuple[Told, list[Finding], int
         if answer is not None:
             best = replace(answer.best, reading=replace(answer.best.reading, offset=offset))
             told = replace(told, answer=replace(answer, best=best))
-        return _without_time(told), found, offset
+        return told, found, offset
     return tell_motion(take, claim), [], 0
-
-
-def _without_time(told: Told) -> Told:
-    """What belongs to another frame is no proof that vectors lead to the next one: the claim stands in that."""
-    if told.motion is None or all(f.code != "motion.time" for f in told.findings):
-        return told
-    findings = tuple(f for f in told.findings if f.code != "motion.time")
-    return replace(told, findings=findings, motion=replace(told.motion, direction=OTHER_TIME[told.motion.direction]))
 
 
 def _unshaken(take: Take, fields: Mapping[int, np.ndarray], jittered: bool) -> dict[int, np.ndarray]:

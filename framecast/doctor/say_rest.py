@@ -251,12 +251,12 @@ def tell_offset(take: Take, offset: int) -> tuple[list[Finding], int]:
     if best == 0 or min(n for _, n in scores.values()) < 2:
         return [], 0
     if scores[best][0] > 0.15 and scores[best][0] > 1.25 * max(scores[0][0], 0.02):
-        when = "next" if best == -1 else "previous"
+        when = "previous" if best == -1 else "next"
         says = (
             f"the vectors of each file belong to the {when} frame: they jump where its depth jumps "
             f"(correlation {scores[best][0]:.2f}, with their own frame's {scores[0][0]:.2f})"
         )
-        return [Finding("motion.offset", "fix", says, 1 - scores[0][0], 1 - scores[best][0])], -best
+        return [Finding("motion.offset", "fix", says, 1 - scores[0][0], 1 - scores[best][0])], best
     return [], 0
 
 
