@@ -1,7 +1,7 @@
 """MNSS: a frame at twice its size from its samples and the last image, by networks small enough for phones.
 
-Paper:   Yang, Zhu, Luo, Guo, Zhou, Guo, Wang, "MNSS: Neural Supersampling Framework for Real-Time Rendering on Mobile
-         Devices", IEEE Transactions on Visualization and Computer Graphics 30(7), 2023,
+Paper:   Yang, Zhao, Luo, Wang, Sun, Li, Cai, Jin, "MNSS: Neural Supersampling Framework for Real-Time Rendering on
+         Mobile Devices", IEEE Transactions on Visualization and Computer Graphics 30(7), 2024,
          https://doi.org/10.1109/TVCG.2023.3259141
 Follows: the stages of the published text: the last image and its depth reprojected, a network that maps how far they
          may be trusted and repairs them from the current frame, current samples made smooth with the history around

@@ -15,7 +15,7 @@ Differs: Samples lie where the renderer took them: the jitter of every frame is 
          The network adds to an image that it sees (`Config.residual`): the mean of the samples of all frames under the
          same weights. The paper's network makes the image from nothing.
          Motion is accumulated surface by surface, as in ExtraNet. Features of earlier frames are kept, not made again.
-         The loss is 1 - SSIM + 5 L1, without the differences in VGG features, whose weights are not free to ship.
+         The loss is 1 - SSIM + 5 L1, without the differences in VGG features, whose weights the package does not have.
 Needs:   color, depth, motion
 Modes:   pass
 State:   samples, features and accumulated motion of the last four frames
