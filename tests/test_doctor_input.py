@@ -101,14 +101,14 @@ def test_layers_are_found_by_name_and_without_one_by_their_numbers(tmp_path: Pat
     y, x = np.mgrid[0:24, 0:32].astype(np.float32)
     normal = np.stack([np.sin(x / 9), np.cos(x / 9), 0 * x])
     for number in (1, 2):
-        layers = {f"a.{c}": RNG.gamma(0.5, size=(24, 32)).astype(np.float32) for c in "RGB"}
-        layers |= {f"b.{c}": RNG.normal(size=(24, 32)).astype(np.float32) for c in "XY"}
-        layers |= {"c.X": (5 + x / 7 + y / 3).astype(np.float32)}
-        layers |= {f"d.{c}": p for c, p in zip("XYZ", normal, strict=True)}
+        layers = {f"p.{c}": RNG.gamma(0.5, size=(24, 32)).astype(np.float32) for c in "RGB"}
+        layers |= {f"q.{c}": RNG.normal(size=(24, 32)).astype(np.float32) for c in "XY"}
+        layers |= {"r.X": (5 + x / 7 + y / 3).astype(np.float32)}
+        layers |= {f"s.{c}": p for c, p in zip("XYZ", normal, strict=True)}
         exr.write(tmp_path / f"{number:03d}.exr", layers)
     claim = open_source(tmp_path).claim
     told = {name: getattr(claim, name).channels[0][0] for name in ("color", "motion", "depth", "normal")}
-    assert told == {"color": "a", "motion": "b", "depth": "c", "normal": "d"}
+    assert told == {"color": "p", "motion": "q", "depth": "r", "normal": "s"}
 
 
 def test_one_file_a_buffer_and_packed_vectors(tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_headers_that_promise_too_much_ask_for_no_memory(tmp_path: Path) -> None
         at = data.find(name) + len(name) + 4
         data[at : at + 16] = struct.pack("<4i", 0, 0, 99_999, 99_999)
     path.write_bytes(data)
-    with pytest.raises(ClipError, match=r"cannot hold|damaged"):
+    with pytest.raises(ClipError, match="cannot"):
         exr.read(path)
 
 
