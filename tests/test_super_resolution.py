@@ -51,7 +51,7 @@ def shot(
     size: tuple[int, int] = (18, 24),
     **changes: Any,
 ) -> Frame:
-    """Frame `t` of a picture that moves to the right by `speed` render pixels a frame, sampled where the jitter says."""
+    """Frame `t` of a picture that moves right by `speed` render pixels a frame, sampled where the jitter says."""
     height, width = size
     at = torch.tensor([jitter(t, phases(scale))])
     x, y = grid(height, width)

@@ -19,7 +19,7 @@ from torch import nn
 
 from framecast.color import tonemap, untonemap
 from framecast.frame import Frame
-from framecast.methods.larger import Config, output_size, require
+from framecast.methods.larger import TWICE, Config, output_size, require
 from framecast.resample import enlarge, lanczos, nearest_sample, neighbourhood, tent
 from framecast.warp import pick
 
@@ -43,7 +43,7 @@ class Bilinear(nn.Module):
     history: int | None = 1
     step_motion: bool = False
 
-    def __init__(self, config: Config = Config()) -> None:
+    def __init__(self, config: Config = TWICE) -> None:
         super().__init__()
         self.config = config
 

@@ -10,7 +10,7 @@ Differs: No exposure, reactive or transparency masks, no divergence of motion, n
          carries feeds them.
          Kernels are separable. A one-dimensional Lanczos of the distance, as published, sharpens along diagonals.
          Surfaces must be apart by a fiftieth of their depth at least: the published constant, which falls with
-         resolution, takes slanted floors of small frames for edges.
+         resolution, takes slanted floors of small frames for edges; twice the surface's own slope is allowed, too.
          Weights are not limited to 12 samples where nothing moves, and what has been still for two periods of the
          jitter stays as long as coarse brightness does: published, a still picture goes on to shimmer.
          History read between pixels loses weight, because that blurs it.
@@ -29,7 +29,7 @@ from torch import Tensor, nn
 from framecast.color import encode_srgb, luminance, tonemap, untonemap
 from framecast.frame import Frame
 from framecast.methods.filters import bounded_lanczos
-from framecast.methods.larger import Config, output_size, require, warn_of_stillness, where
+from framecast.methods.larger import TWICE, Config, output_size, require, warn_of_stillness, where
 from framecast.methods.mobfgsr import present
 from framecast.resample import (
     Box,
@@ -91,7 +91,7 @@ class FSR2(nn.Module):
     history: int | None = None
     step_motion: bool = False
 
-    def __init__(self, config: Config = Config()) -> None:
+    def __init__(self, config: Config = TWICE) -> None:
         super().__init__()
         self.config = config
 
@@ -130,8 +130,17 @@ def hidden_before(depth: Float[Tensor, "b 1 h w"], motion: Float[Tensor, "b 2 h 
     for corner in corners[1:]:
         keys = torch.minimum(keys, splat(depth, corner))
     gap = depth - warp(key_depth(keys).clamp(max=65504.0), motion)
-    required = APART * depth
+    required = APART * depth + 2 * slope(depth)
     return (1 - required / gap.clamp(min=1e-6)).clamp(0, 1) * (gap > 0)
+
+
+def slope(depth: Float[Tensor, "b 1 h w"]) -> Float[Tensor, "b 1 h w"]:
+    """How much the depth of a surface changes from pixel to pixel, along both axes; edges do not count."""
+    around = F.pad(depth, (1, 1, 1, 1), mode="replicate")
+    up, down = around[..., :-2, 1:-1], around[..., 2:, 1:-1]
+    left, right = around[..., 1:-1, :-2], around[..., 1:-1, 2:]
+    across = torch.minimum((right - depth).abs(), (depth - left).abs())
+    return across + torch.minimum((down - depth).abs(), (depth - up).abs())
 
 
 def ridges(luma: Float[Tensor, "b 1 h w"]) -> Bool[Tensor, "b 1 h w"]:

@@ -18,6 +18,9 @@ class Config:
     """Output size divided by input size."""
 
 
+SAME, TWICE = Config(scale=1.0), Config()
+
+
 def require(frame: Frame, name: str, needs: tuple[str, ...]) -> None:
     """Raises ValueError where `frame` has no colour or lacks buffers, or where they are not all of one size."""
     lacking = [field for field in needs if getattr(frame, field) is None]
