@@ -26,6 +26,7 @@ def main(
     methods: str = "",
     modes: tuple[Mode, ...] = ("interpolate", "extrapolate"),
     metrics: tuple[str, ...] = ("psnr", "ssim", "flip"),
+    regions: tuple[str, ...] = ("all", "disoccluded"),
     json: Path | None = None,
     device: str = "cpu",
 ) -> None:
@@ -36,7 +37,8 @@ def main(
         output: the markdown page.
         methods: names separated by commas; by default every one that fits the clips.
         modes: interpolate, extrapolate, mixed.
-        metrics: psnr, ssim, flip, lpips.
+        metrics: psnr, ssim, flip, flicker, lpips.
+        regions: all, disoccluded, shading, thin, border, static.
         json: file for the rows.
         device: cpu, cuda, mps.
     """
@@ -49,14 +51,26 @@ def main(
             print(f"{found[0].method} on {found[0].clip}, {mode}: done", flush=True)
     sizes = {name: f"{c.size[1]}x{c.size[0]}, {len(c)} frames" for name, c in zip(labels(opened), opened, strict=True)}
     with exr.whole(output) as temporary:
-        temporary.write_text(page(rows, sizes, metrics))
+        temporary.write_text(page(rows, sizes, metrics, regions))
     if json is not None:
         write_results(json, rows)
     print(f"{output}: {len(rows)} rows")
 
 
-def page(rows: Sequence[Row], clips: dict[str, str], metrics: Sequence[str]) -> str:
-    """The markdown page: for each mode a table of all pixels, one of disoccluded ones and one of times."""
+TITLES = {
+    "all": "all pixels",
+    "disoccluded": "disoccluded pixels",
+    "shading": "moving shading",
+    "thin": "thin things",
+    "border": "along the border",
+    "static": "static pixels",
+}
+
+
+def page(
+    rows: Sequence[Row], clips: dict[str, str], metrics: Sequence[str], regions: Sequence[str] = ("all", "disoccluded")
+) -> str:
+    """The markdown page: for each mode a table of each region and one of times."""
     names = " / ".join(metric.upper() for metric in metrics)
     lines = ["# Quality of generated frames", ""]
     lines += [f"framecast {__version__}. Every second frame hidden, generated, compared with what was hidden: {names}"]
@@ -66,9 +80,9 @@ def page(rows: Sequence[Row], clips: dict[str, str], metrics: Sequence[str]) -> 
     generated = [row for row in several if row.role == "generated"]
     for mode in dict.fromkeys(row.mode for row in rows):
         here = [row for row in generated if row.mode == mode]
-        for region, title in (("all", "all pixels"), ("disoccluded", "disoccluded pixels")):
+        for region in regions:
             part = [row for row in here if row.region == region]
-            lines += ["", f"## {mode.capitalize()}: {title}", "", *table(part, metrics)]
+            lines += ["", f"## {mode.capitalize()}: {TITLES[region]}", "", *table(part, metrics)]
         lines += ["", f"## {mode.capitalize()}: milliseconds a frame", "", *table(here, ("milliseconds",))]
     return "\n".join(lines) + "\n"
 

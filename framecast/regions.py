@@ -1,7 +1,7 @@
 """Where in a frame methods are compared: everywhere, and the places where they fail in different ways.
 
-Masks are `1 1 h w` at the size of the frames, from the frame's own depth and true motion. `docs/evaluation.md` says what
-each is for.
+Masks are `1 1 h w` at the size of the frames, from the frame's own depth and true motion. `docs/evaluation.md` says
+what each is for.
 """
 
 from collections.abc import Sequence

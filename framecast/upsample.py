@@ -75,7 +75,9 @@ def upsample(
     overwrite: bool = False,
     progress: Callable[[Iterable[int], int], Iterable[int]] = lambda indices, total: indices,
 ) -> Made:
-    """Write the clip at `job.rate` times its frame rate and `job.scale` times its size. Interrupted and called again, it goes on where it was.
+    """Write the clip at `job.rate` times its frame rate and `job.scale` times its size.
+
+    Interrupted and called again, it goes on where it was.
 
     Args:
         out: a folder, or a file name for mp4.
