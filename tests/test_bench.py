@@ -64,7 +64,7 @@ def test_the_camera_of_the_scene_sees_pixels_where_they_are() -> None:
 def test_every_method_is_measured_in_every_role_it_has() -> None:
     rows = bench.bench(list(METHODS), "hold", bench.Settings(24, 40, repeats=2, compile=False))
     for name, make in METHODS.items():
-        assert {row.role for row in rows if row.method == name} == {"shaded", *make().modes}
+        assert {row.role for row in rows if row.method == name} == {"shaded", *make().modes} - {"pass"}
     assert all(0 < row.lower <= row.median <= row.upper for row in rows)
     assert all(row.ratio == 1 for row in rows if row.method == "hold")
     assert max(row.ratio for row in rows if row.method == "mobfgsr" and row.ratio) > 3

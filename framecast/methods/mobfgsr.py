@@ -16,8 +16,9 @@ Differs:  each choice measured in docs/results/frame-generation.md.
           where brightness agrees, which is sharper and farther from the truth.
           Gaps copy the nearest surface's vector as the public code does; the paper's mean filter mixes surfaces.
           The public code splats extrapolated pixels on straight and gathers them on quadratic paths; here both are one.
-          The table serves frame generation at scale 1 too, on compressed colour: 30.14 dB interpolated and 27.28 dB
-          extrapolated, where bilinear reads of linear colour give 29.63 and 27.21, Catmull-Rom 30.13 and 27.30.
+          At scale 1 images are read bilinearly, from compressed colour: 29.83 dB interpolated and 27.26 extrapolated
+          (linear colour: 29.63 and 27.21). `Config(kernel="table")` gives 30.14 and 27.28, and on a CPU takes several
+          times as long to run and to compile.
           One table for all scales: trained on references or on shaded colour, tables differ by 0.04 dB.
           Eq. 2 as printed loses light (its weights do not sum to 1). Here 1 - b d is what a sample counts against the
           history, 1 / a - 1 the most that a moving history counts, and Catmull-Rom makes the sample's image; a = 0.5,
@@ -56,6 +57,7 @@ from framecast.warp import (
     pick,
     splat,
     trajectory,
+    warp,
 )
 
 
@@ -73,6 +75,8 @@ class Config:
     """T_D of Eq. 1 as a part of the depth: beyond it only the farther, newly revealed side is used."""
     brightness_threshold: float = 0.0
     """T_B of Eq. 1 in display luminance: up to it the frame nearer in time is taken alone. 0: always mix."""
+    kernel: Literal["bilinear", "table"] = "bilinear"
+    """How generated frames of scale 1 read the shaded ones; larger images are always read through the table."""
     scale: float = 1.0
     """Size of the images divided by that of the frames; 1: shaded frames pass through."""
     blend: float = 0.5
@@ -147,16 +151,28 @@ class MobFGSR(nn.Module):
         """The image at `time` between the two shaded frames."""
         sources = interpolate(pair_of(state), time, self.config)
         if isinstance(state, Pair):
-            return blend(present(state.prev.color), present(state.current.color), sources, self.config, self.table)
-        sources = enlarged(sources, state.image)
-        return blend(state.before, state.image, sources, self.config, self.table)
+            return self.blend(present(state.prev.color), present(state.current.color), sources)
+        return self.blend(state.before, state.image, enlarged(sources, state.image))
 
     def extrapolate(self, state: State, time: Float[Tensor, " b"]) -> Float[Tensor, "b 3 H W"]:
         """The image at `time` after the newest shaded frame."""
         source = extrapolate(pair_of(state), time, self.config)
         if isinstance(state, Pair):
-            return untonemap(resample(present(state.current.color), source, self.table, bounded=True))
-        return untonemap(resample(state.image, scaled(source, state.image), self.table, bounded=True))
+            return untonemap(self.read(present(state.current.color), source))
+        return untonemap(self.read(state.image, scaled(source, state.image)))
+
+    def blend(
+        self, previous: Float[Tensor, "b 3 H W"], current: Float[Tensor, "b 3 H W"], sources: "Sources"
+    ) -> Float[Tensor, "b 3 H W"]:
+        """Eq. 1: both compressed images warped and mixed; the linear image."""
+        images = self.read(previous, sources.to_previous), self.read(current, sources.to_current)
+        return untonemap(mixed(*images, sources.weight, self.config.brightness_threshold))
+
+    def read(self, image: Float[Tensor, "b 3 H W"], motion: Float[Tensor, "b 2 H W"]) -> Float[Tensor, "b 3 H W"]:
+        """A compressed image along the motion."""
+        if self.enlarges or self.config.kernel == "table":
+            return resample(image, motion, self.table, bounded=True)
+        return warp(image, motion)
 
 
 def pair_of(state: State) -> Pair:
@@ -292,22 +308,18 @@ def visible(
     return torch.where(only_before, 0.0, torch.where(only_after, 1.0, _wide(alpha).expand_as(depth_after)))
 
 
-def blend(
-    previous: Float[Tensor, "b 3 H W"],
-    current: Float[Tensor, "b 3 H W"],
-    sources: Sources,
-    config: Config,
-    table: Float[Tensor, "32 32 16"],
+def mixed(
+    before: Float[Tensor, "b 3 H W"],
+    after: Float[Tensor, "b 3 H W"],
+    weight: Float[Tensor, "b 1 H W"],
+    threshold: float,
 ) -> Float[Tensor, "b 3 H W"]:
-    """Eq. 1: both compressed images warped and mixed; the linear image."""
-    before = resample(previous, sources.to_previous, table, bounded=True)
-    after = resample(current, sources.to_current, table, bounded=True)
-    weight = sources.weight
-    if config.brightness_threshold > 0:
+    """Two compressed images mixed; where their display luminance differs by up to `threshold`, the nearer in time."""
+    if threshold > 0:
         change = luminance(to_display(untonemap(after))) - luminance(to_display(untonemap(before)))
-        alike = (change.abs() <= config.brightness_threshold) & (weight > 0) & (weight < 1)
+        alike = (change.abs() <= threshold) & (weight > 0) & (weight < 1)
         weight = torch.where(alike, (weight > 0.5).to(weight.dtype), weight)
-    return untonemap(before + weight * (after - before))
+    return before + weight * (after - before)
 
 
 def extrapolate(state: Pair, time: Float[Tensor, " b"], config: Config) -> Float[Tensor, "b 2 h w"]:
