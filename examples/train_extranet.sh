@@ -3,8 +3,8 @@
 #
 #     examples/train_extranet.sh [folder] [steps]
 #
-# Interrupted and started again it goes on where it was. With 2 steps and SMALL=1 it runs in minutes on a CPU; the
-# shipped weights took some 8000 steps on one CPU core (set DEVICE=cuda where there is a GPU).
+# Interrupted and started again it goes on where it was. With 2 steps and SMALL=1 it runs in minutes on a CPU; set
+# DEVICE=cuda where there is a GPU.
 set -e
 out=${1:-runs/extranet}
 steps=${2:-8000}
@@ -25,6 +25,6 @@ for scene in harbor greenhouse hangar clockwork pond; do
     --no-jitter
 done
 
-framecast train extranet-on-occlusion --clips "$out/clips/train/*" --out "$out/run" --steps "$steps" --batch 4 --crop 128 \
+framecast train extranet --clips "$out/clips/train/*" --out "$out/run" --steps "$steps" --batch 4 --crop 128 \
   --device "$device"
-framecast evaluate "$out"/clips/test/* --mode extrapolate --methods warp,warp-occlusion,extranet --json "$out/results.json"
+framecast evaluate "$out"/clips/test/* --mode extrapolate --methods warp,warp-occlusion --json "$out/results.json"

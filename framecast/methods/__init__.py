@@ -46,14 +46,17 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
 }
 
 TRAINABLE: dict[str, tuple[Callable[[], nn.Module], Recipe]] = {
-    "extranet": (ExtraNet, extranet.recipe),
+    "extranet": (lambda: ExtraNet(extranet.BETTER), extranet.recipe),
+    "extranet-published": (ExtraNet, extranet.recipe),
     "extranet-plus": (lambda: ExtraNet(extranet.Config(scale=2)), extranet.recipe),
-    "extranet-on-occlusion": (lambda: ExtraNet(extranet.Config(residual="occlusion")), extranet.recipe),
-    "extranet-without-history": (lambda: ExtraNet(extranet.Config(history=False)), extranet.recipe),
+    "extranet-without-history": (lambda: ExtraNet(replace(extranet.BETTER, history=False)), extranet.recipe),
     "extranet-without-occlusion": (lambda: ExtraNet(extranet.Config(occlusion=False)), extranet.recipe),
-    "extranet-without-shading": (ExtraNet, replace(extranet.recipe, loss=extranet.loss_without_shading)),
+    "extranet-without-shading": (
+        lambda: ExtraNet(extranet.BETTER),
+        replace(extranet.recipe, loss=extranet.loss_without_shading),
+    ),
     "nsrr": (lambda: NSRR(nsrr.FAST), nsrr.recipe),
     "mnss": (MNSS, mnss.recipe),
 }
 """Networks with random weights, and their recipes. Without history, occlusion and shading are the paper's ablations;
-on occlusion, the output is added to the better of the two warps."""
+"published" adds its output to the plain warp, the others to the one by occlusion motion."""

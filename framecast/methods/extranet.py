@@ -72,6 +72,10 @@ class Config:
     """Output size divided by input size; above 1 shaded frames are super-resolved too, and nothing is demodulated."""
 
 
+BETTER = Config(residual="occlusion")
+"""What ships: the network begins with disocclusions filled, and has less to paint."""
+
+
 @dataclass(frozen=True)
 class Past:
     """One shaded frame of the history."""

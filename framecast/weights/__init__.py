@@ -19,6 +19,8 @@ def shipped(name: str, method: Module) -> Module:
     """
     path = FOLDER / f"{name}.safetensors"
     if not path.is_file():
-        raise FileNotFoundError(f"no weights ship for {name} ({path} is missing); train it with: framecast train {name}")
+        raise FileNotFoundError(
+            f"no weights ship for {name} ({path} is missing); train it with: framecast train {name}"
+        )
     method.load_state_dict(safetensors.torch.load_file(path))
     return method
