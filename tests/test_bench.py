@@ -61,6 +61,7 @@ def test_the_camera_of_the_scene_sees_pixels_where_they_are() -> None:
     assert abs(float(place[0, 1, 7, 11]) - 7.5) < 1e-3
 
 
+@pytest.mark.filterwarnings("ignore:these frames are not jittered")  # the scene is sampled at pixel centres
 def test_every_method_is_measured_in_every_role_it_has() -> None:
     rows = bench.bench(list(METHODS), "hold", bench.Settings(24, 40, repeats=2, compile=False))
     for name, make in METHODS.items():

@@ -274,10 +274,10 @@ def test_dilated_vectors_reach_one_pixel_beyond_the_card() -> None:
     crisp, wide = (np.zeros((2, 20, 30), np.float32) for _ in range(2))
     crisp[0, 5:15, 10:20] = 4
     wide[0, 4:16, 9:21] = 4
-    assert edges_of(None, {0: crisp}, {0: depth}).dilated == 0  # type: ignore[arg-type]
-    assert edges_of(None, {0: wide}, {0: depth}).dilated == 1  # type: ignore[arg-type]
+    assert edges_of({0: crisp}, {0: depth}).dilated == 0
+    assert edges_of({0: wide}, {0: depth}).dilated == 1
     soft = (crisp + np.roll(crisp, 1, 2) + np.roll(crisp, -1, 2)) / 3
-    assert edges_of(None, {0: soft}, {0: depth}).mixed > 0.4  # type: ignore[arg-type]
+    assert edges_of({0: soft}, {0: depth}).mixed > 0.4
 
 
 def test_padding_is_cut_off(take: Take) -> None:

@@ -236,7 +236,7 @@ def test_the_command_trains_and_says_what_it_made(tmp_path: Path, capsys: pytest
     settings = replace(SETTINGS, save=1)
     command("extranet", str(tmp_path / "clips/*"), tmp_path / "run", 1, 2, 16, tmp_path / "cache", settings)
     assert "extranet on 1 clips" in capsys.readouterr().out
-    assert checkpoint.fill(ExtraNet(), "extranet", tmp_path / "run" / "weights.safetensors")
+    assert checkpoint.fill(ExtraNet(extranet.BETTER), "extranet", tmp_path / "run" / "weights.safetensors")
 
 
 def test_the_command_refuses_what_it_cannot_do(tmp_path: Path) -> None:

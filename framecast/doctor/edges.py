@@ -24,7 +24,7 @@ class Edges:
     """Share of pixels at silhouettes whose vector lies between both sides' vectors."""
 
 
-def edges_of(take: Take, vectors: Mapping[int, np.ndarray], depths: Mapping[int, np.ndarray]) -> Edges:
+def edges_of(vectors: Mapping[int, np.ndarray], depths: Mapping[int, np.ndarray]) -> Edges:
     """Silhouettes along rows and columns, four pixels on either side of which all is smooth.
 
     Args:
