@@ -1,6 +1,7 @@
 """The command line: `framecast COMMAND ...`, each command a function whose arguments are its options."""
 
 import sys
+import warnings
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated, Any
@@ -167,19 +168,33 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 }
 
 
+def said() -> Callable[..., None]:
+    """Shows a warning as one sentence, without the line of code that gave it, and each sentence once."""
+    before: set[str] = set()
+
+    def show(message: Warning | str, *_: object, **__: object) -> None:
+        if str(message) not in before:
+            print(f"framecast: {message}", file=sys.stderr)
+        before.add(str(message))
+
+    return show
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one command.
 
     0: done; 1: the doctor found something; 2: what was given is wrong, said in a sentence; 130: interrupted.
     """
     try:
-        code = tyro.extras.subcommand_cli_from_dict(
-            COMMANDS,
-            prog="framecast",
-            description="More pixels and more frames than were shaded.",
-            args=arguments,
-            config=(OmitArgPrefixes,),
-        )
+        with warnings.catch_warnings():
+            warnings.showwarning = said()
+            code = tyro.extras.subcommand_cli_from_dict(
+                COMMANDS,
+                prog="framecast",
+                description="More pixels and more frames than were shaded.",
+                args=arguments,
+                config=(OmitArgPrefixes,),
+            )
     except (ValueError, FileNotFoundError) as error:
         print(f"framecast: {error}", file=sys.stderr)
         return 2

@@ -66,7 +66,7 @@ def plain(time: float) -> Frame:
         roughness=flat[:, :1],
         metallic=flat[:, :1],
         object=torch.zeros(1, 1, SIDE, SIDE, dtype=torch.int32),
-        jitter=torch.zeros(1, 2),
+        jitter=torch.full((1, 2), 0.25),
         view=torch.eye(4)[None],
         projection=perspective(0.9, 1.0)[None],
         time=torch.tensor([time]),

@@ -219,3 +219,15 @@ def test_evaluate_writes_rows(disc_clip: Clip, tmp_path: Path) -> None:
     }
     value = {(r["method"], r["role"], r["region"], r["metric"]): r["value"] for r in results["rows"]}
     assert value["mobfgsr", "generated", "all", "psnr"] > value["hold", "generated", "all", "psnr"]
+
+
+@pytest.mark.filterwarnings("default:these frames are not jittered")
+def test_a_warning_is_one_sentence_said_once(
+    disc_clip: Clip, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "large"
+    assert main(["upsample", str(disc_clip.path), "-o", str(out), "--method", "taau", "--scale", "2"]) == 0
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1
+    assert told[0].startswith("framecast: these frames are not jittered")
+    assert exr.read(out / "0001.exr").size == (64, 96)
