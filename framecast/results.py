@@ -36,7 +36,7 @@ class Row:
     mode: Mode
     role: Role
     region: str
-    """"all", or "disoccluded" (see `evaluate.regions`)."""
+    """"all", or a part of the pixels by the names that `regions.regions` gives."""
     metric: str
     """A name of `metrics.METRICS`, or "milliseconds" (the median time of the method for one frame)."""
     value: float

@@ -64,7 +64,7 @@ def test_everything_runs_and_goes_on(source: Footage, tmp_path: Path, monkeypatc
     crops = script("crops")
     run = script("run")
     crops.pack([source], tmp_path / "crops", size=16, limit=1)
-    few = {name: METHODS[name] for name in ("hold", "warp", "mobfgsr")}
+    few = {name: METHODS[name] for name in ("hold", "warp", "mobfgsr", "bilinear")}
     monkeypatch.setattr(run, "METHODS", few)
     out = tmp_path / "out"
     command = ["--tiny", "--crops", str(tmp_path / "crops"), "--out", str(out)]
