@@ -17,7 +17,7 @@ import tyro
 from framecast import exr
 from framecast.clip import Clip
 from framecast.color import to_display
-from framecast.evaluate import Settings, counts, index_at, outputs
+from framecast.evaluate import Footage, Settings, counts, index_at, outputs
 from framecast.frame import Frame
 from framecast.importers import open_any
 from framecast.methods.bsr import BSR
@@ -43,7 +43,7 @@ CHOICES: dict[str, Callable[[], Any]] = {
 
 def scores(clip: Clip, method: Any, mode: Mode) -> Iterator[float]:
     """PSNR of each generated frame that counts."""
-    for output in outputs(clip, method, mode, Settings(), clip.__getitem__):
+    for output in outputs(Footage(clip), method, mode, Settings()):
         index = index_at(clip, output.time)
         if output.generated and counts(clip, index, mode):
             yield float(psnr(to_display(output.image), to_display(_color(clip[index]))))

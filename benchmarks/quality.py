@@ -37,7 +37,7 @@ def main(
         output: the markdown page.
         methods: names separated by commas; by default every one that fits the clips.
         modes: interpolate, extrapolate, mixed.
-        metrics: psnr, ssim, flip, flicker, lpips.
+        metrics: psnr, ssim, flip, flip-hdr, warped, flicker, lpips.
         regions: all, disoccluded, shading, thin, border, static.
         json: file for the rows.
         device: cpu, cuda, mps.

@@ -12,11 +12,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from framecast.bench import command as bench
+from framecast.campaign import command as evaluate
 from framecast.clip import Clip, check, mended
 from framecast.constants import command as constants
 from framecast.demo import demo
 from framecast.doctor.command import command as doctor
-from framecast.evaluate import command as evaluate
 from framecast.export_clip import command as export_clip
 from framecast.fit import method_named
 from framecast.importers import describe, open_any, repairs, save

@@ -11,9 +11,10 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 from tyro.conf import arg
 
+from framecast.campaign import made_from
 from framecast.clip import Clip, open_clip
 from framecast.color import to_display
-from framecast.evaluate import Settings, evaluate, labels, made_from
+from framecast.evaluate import Settings, evaluate, labels
 from framecast.exr import whole
 from framecast.fit import method_named
 from framecast.metrics import psnr
@@ -119,7 +120,7 @@ def film(out: Path, full: Clip, made: dict[int, Tensor]) -> Path:
 
 def compared(out: Path, full: Clip, method: str) -> Path:
     """The report of the three guesses, with the numbers that they are measured by."""
-    names, settings = list(dict.fromkeys(("hold", "blend", method))), Settings(metrics=("psnr", "ssim", "flicker"))
+    names, settings = list(dict.fromkeys(("hold", "blend", method))), Settings(metrics=("psnr", "ssim", "warped"))
     rows, path = evaluate([full], names, "interpolate", settings), out / "report.html"
     with whole(path) as temporary:
         temporary.write_text(report(rows, {labels([full])[0]: full}, made_from([full], names, "interpolate", settings)))

@@ -1,8 +1,9 @@
 """How far an image is from its target: PSNR, SSIM, FLIP and LPIPS, over all pixels or over a region.
 
-Images are display-referred, `b 3 h w` in [0, 1]: the caller applies `color.to_display` once, to both. A metric first
-makes error maps (the costly part), then averages them over as many regions as are asked for: `measure` does both,
-`psnr`, `ssim`, `flip` and `lpips` are the same for one region. A region without pixels gives NaN.
+Images are display-referred, `b 3 h w` in [0, 1]: the caller applies `color.to_display` once, to both; those of
+"flip-hdr" are linear. A metric first makes error maps (the costly part), then averages them over as many regions as are
+asked for: `measure` does both, `psnr`, `ssim`, `flip` and `lpips` are the same for one region. A region without pixels
+gives NaN.
 """
 
 import importlib.util
@@ -10,21 +11,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Literal
 
-import flip_evaluator
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
+
+from framecast.flip import flip_map, hdr_flip_map
 
 Maps = tuple[Tensor, ...]
 """Error maps `b 1 h w`; LPIPS has one for each layer, of its size."""
 
 PSNR_LIMIT = 100.0
 """PSNR of equal images in dB, so that averages stay finite; rounding to 8 bits alone gives 59 dB."""
-
-PIXELS_PER_DEGREE = 67.02
-"""Viewing condition of FLIP: a 0.7 m wide 4K display seen from 0.7 m, the default of its authors."""
 
 _WINDOW, _SIGMA = 11, 1.5
 
@@ -41,8 +41,9 @@ class Metric:
     perfect: float
     """Value of equal images."""
     value: Callable[[Tensor], Tensor] = lambda average: average
-    temporal: bool = False
-    """It compares how images change along true motion, not images."""
+    compares: Literal["display", "linear", "change", "roles"] = "display"
+    """What it is given: an image and what it should be, as displayed or linear; how both changed along true motion
+    since the image before; or one frame as a method made it in its two roles, generated and shaded."""
 
 
 def average(maps: Maps, mask: Bool[Tensor, "b 1 h w"] | None = None) -> Float[Tensor, " b"]:
@@ -108,23 +109,6 @@ def _mirrored(image: Tensor, axis: int) -> Tensor:
     return F.pad(image, sides, mode="reflect" if image.shape[axis] > half else "replicate")
 
 
-def flip_map(image: Float[Tensor, "b 3 h w"], target: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 1 h w"]:
-    """Difference that a viewer sees when flipping between the two, 0..1 (Andersson et al. 2020), LDR form.
-
-    At PIXELS_PER_DEGREE. Runs on the CPU with its authors' code.
-    """
-    pairs = zip(image.permute(0, 2, 3, 1).cpu(), target.permute(0, 2, 3, 1).cpu(), strict=True)
-    maps = [torch.from_numpy(_flip(test.contiguous(), reference.contiguous())) for test, reference in pairs]
-    return torch.stack(maps).permute(0, 3, 1, 2).to(image.device)
-
-
-def _flip(test: Tensor, reference: Tensor):  # type: ignore[no-untyped-def]  # numpy h w 1
-    settings = {"ppd": PIXELS_PER_DEGREE}
-    return flip_evaluator.evaluate(
-        reference.numpy(), test.numpy(), "LDR", applyMagma=False, computeMeanError=False, parameters=settings
-    )[0]
-
-
 def lpips_maps(image: Float[Tensor, "b 3 h w"], target: Float[Tensor, "b 3 h w"]) -> Maps:
     """Distances between AlexNet features of the two, one map for each of five layers (Zhang et al. 2018, version 0.1).
 
@@ -183,15 +167,22 @@ def _alexnet(hub: Path) -> tuple[nn.ModuleList, nn.ModuleList]:
     return stages.requires_grad_(False), heads.requires_grad_(False)
 
 
+def _difference(a: Tensor, b: Tensor) -> Maps:
+    """Absolute difference, mean over the channels."""
+    return ((a - b).abs().mean(1, keepdim=True),)
+
+
 METRICS: dict[str, Metric] = {
     "psnr": Metric(lambda a, b: (squared_error(a, b),), True, PSNR_LIMIT, value=decibels),
     "ssim": Metric(lambda a, b: (ssim_map(a, b),), True, 1.0),
     "flip": Metric(lambda a, b: (flip_map(a, b),), False, 0.0),
+    "flip-hdr": Metric(lambda a, b: (hdr_flip_map(a, b),), False, 0.0, compares="linear"),
     "lpips": Metric(lpips_maps, False, 0.0),
-    "flicker": Metric(lambda a, b: ((a - b).abs().mean(1, keepdim=True),), False, 0.0, temporal=True),
+    "warped": Metric(_difference, False, 0.0, compares="change"),
+    "flicker": Metric(_difference, False, 0.0, compares="roles"),
 }
-"""Every metric by name; for lpips see `lpips_missing`. flicker takes what changed since the image before, and what
-should have: 0 where an image is wrong in the same way in every frame."""
+"""Every metric of images by name; for lpips see `lpips_missing`. warped is 0 where an image is wrong in the same way in
+every frame, flicker where nobody can tell a generated frame from a shaded one."""
 
 
 def psnr(

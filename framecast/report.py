@@ -9,7 +9,6 @@ import math
 import statistics
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,14 +22,14 @@ from tyro.conf import Positional, arg
 from framecast import __version__, exr, packing
 from framecast.clip import Clip, ClipError
 from framecast.color import to_display
-from framecast.evaluate import Read, Settings, Shown, compared, counts, index_at, outputs, require_length, target
-from framecast.fit import method_named
+from framecast.evaluate import Footage, Made, Settings, judged, require_length
+from framecast.evaluate import images as images_of
+from framecast.flip import flip_map
 from framecast.importers import open_any
-from framecast.metrics import METRICS, flip_map, lpips_missing
+from framecast.metrics import METRICS, lpips_missing
 from framecast.page import Content, Run, Strip, page
 from framecast.provenance import About, Source, fingerprint
 from framecast.results import Mode, Role, Row, is_higher_better, read_provenance, read_results
-from framecast.runtime import Output
 
 SMALLEST = 240
 """Height in pixels down to which large images are cropped before frames are left out."""
@@ -160,7 +159,8 @@ def window_of(clip: Clip, job: Job, budget: float) -> Window:
     that changes most are kept.
     """
     height, width = (round(side * job.scale) for side in clip.size)
-    changed = 1.0 if job.mode == "pass" else 0.5  # methods that generate frames leave the others alone
+    # Methods that generate frames leave the others alone, unless they enlarge them.
+    changed = 1.0 if job.mode == "pass" or job.scale > 1 else 0.5
     each = bytes_per_pixel(clip) * (1 + 1.25 * changed * len(job.methods))  # a quarter more for the FLIP map
     room = budget / (each * len(clip))
     if height * width <= room:
@@ -228,57 +228,48 @@ class Look:
 
 
 def looks(clip: Clip, job: Job, name: str, window: Window, images: Images, settings: Settings) -> Iterator[Look]:
-    """The images of a method on a clip in display order, those of the window packed."""
-    read: Read = lru_cache(maxsize=4)(clip.__getitem__)
+    """The images of a method on a clip in display order, those of the window packed.
+
+    Of a method that was run twice, started one frame apart, only the first run is shown; both have values.
+    """
+    footage = Footage(clip)
     rest = replace(settings, metrics=tuple(metric for metric in settings.metrics if metric != "flip"))
-    before: Shown | None = None
-    for output in outputs(clip, method_named(name, job.scale), job.mode, settings, read):
-        index = index_at(clip, output.time)
-        role: Role = "generated" if output.generated else "shaded"
-        truth = truth_of(clip, index, output, read)
-        now = None if truth is None else Shown(index, to_display(output.image), to_display(truth))
-        values: dict[tuple[str, str], float] = {}
-        kept, heat = index in window.frames, None
-        if now is not None and is_judged(clip, now, role, job.mode):
-            values |= compared(clip, now, before, role, job.mode, rest, read)
-            if kept:
-                heat, mean = heat_of(now, window, whole="flip" in settings.metrics)
-                values |= {} if mean is None else {("all", "flip"): mean}
-        yield Look(
-            index,
-            role,
-            images.add(packing.encode(window.cut(output.image))) if kept else None,
-            images.add(packing.encode(window.cut(truth))) if kept and truth is not None else None,
-            images.add_map(heat) if heat is not None else None,
-            values,
-        )
-        before = now
+    for made in images_of(footage, name, job.mode, rest):
+        values = judged(footage, made, job.mode, rest)
+        for one in made:
+            mine = {} if untouched(one) else {key[1:]: value for key, value in values.items() if key[0] == one.role}
+            kept, heat = one.start == 0 and one.index in window.frames, None
+            if kept and mine:
+                heat, mean = heat_of(one, window, whole="flip" in settings.metrics)
+                mine |= {} if mean is None else {("all", "flip"): mean}
+            yield Look(
+                one.index,
+                one.role,
+                images.add(packing.encode(window.cut(one.image))) if kept else None,
+                images.add(packing.encode(window.cut(one.truth))) if kept and one.truth is not None else None,
+                images.add_map(heat) if heat is not None else None,
+                mine,
+            )
 
 
-def is_judged(clip: Clip, now: Shown, role: Role, mode: Mode) -> bool:
-    """Whether an image has values here: a generated one that counts, or a shaded one that the method changed."""
-    return counts(clip, now.index, mode) if role == "generated" else not torch.equal(now.image, now.target)
+def untouched(one: Made) -> bool:
+    """Whether it is a shaded frame that the method gave back as it was, so that there is nothing to judge."""
+    return one.role == "shaded" and one.truth is not None and torch.equal(one.image, one.truth)
 
 
-def heat_of(now: Shown, window: Window, whole: bool) -> tuple[Float[Tensor, "1 h w"], float | None]:
+def heat_of(now: Made, window: Window, whole: bool) -> tuple[Float[Tensor, "1 h w"] | None, float | None]:
     """FLIP map of the window, and its mean over all pixels.
 
     Made from the whole image where that is asked for, which takes longer; else from the window, and where that is but a
     part of the image the mean is not known.
     """
+    if now.target is None:
+        return None, None
     if whole:
-        heat = flip_map(now.image, now.target)
+        heat = flip_map(now.shown, now.target)
         return window.cut(heat), float(heat.mean())
-    heat = flip_map(window.cut(now.image)[None], window.cut(now.target)[None])
+    heat = flip_map(window.cut(now.shown)[None], window.cut(now.target)[None])
     return heat[0], float(heat.mean()) if heat.shape[-2:] == now.image.shape[-2:] else None
-
-
-def truth_of(clip: Clip, index: int, output: Output, read: Read) -> Float[Tensor, "1 3 H W"] | None:
-    """What an image should have been; None where the clip has no such image (any more)."""
-    try:
-        return target(clip, index, output, read)
-    except ClipError:
-        return None
 
 
 def run_of(clip: Clip, job: Job, window: Window, made: Mapping[str, Sequence[Look]], rows: Sequence[Row]) -> Run:

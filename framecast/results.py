@@ -1,9 +1,10 @@
-"""What evaluation found: rows of numbers, their file, and tables of them."""
+"""What evaluation found: rows of numbers, their files, and tables of them."""
 
+import csv
 import json
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,7 +15,7 @@ from framecast import exr
 from framecast.metrics import METRICS
 from framecast.provenance import About, read_about
 
-VERSION = 1
+VERSION = 2
 """Of the results file."""
 
 MEAN = "mean"
@@ -23,8 +24,11 @@ MEAN = "mean"
 Mode = Literal["interpolate", "extrapolate", "mixed", "pass"]
 Role = Literal["shaded", "generated"]
 
-DIGITS = {"psnr": 2, "milliseconds": 1}
+DIGITS = {"psnr": 2, "cvvdp": 3, "milliseconds": 1}
 """Decimals shown; 4 for every other metric."""
+
+TIME = "milliseconds"
+"""Name of the metric that is the median time of the method for one frame."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class Row:
     region: str
     """"all", or a part of the pixels by the names that `regions.regions` gives."""
     metric: str
-    """A name of `metrics.METRICS`, or "milliseconds" (the median time of the method for one frame)."""
+    """A name of `metrics.METRICS`, "cvvdp", or TIME."""
     value: float
     scale: float = 1.0
     """Size of the images divided by the size of the frames."""
@@ -49,6 +53,14 @@ def write_results(path: Path | str, rows: Sequence[Row], about: About | None = N
     held = {"version": VERSION, "rows": [asdict(row) for row in rows], **({"about": asdict(about)} if about else {})}
     with exr.whole(Path(path)) as temporary:
         temporary.write_text(json.dumps(held, indent=1) + "\n")
+
+
+def write_csv(path: Path | str, rows: Sequence[Row]) -> None:
+    """Rows as a table of text with a line of names, the whole file or nothing."""
+    with exr.whole(Path(path)) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, [one.name for one in fields(Row)])
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
 
 
 def read_results(path: Path | str) -> list[Row]:
@@ -97,12 +109,12 @@ def shown(values: Mapping[str, float], metric: str) -> dict[str, tuple[str, bool
 
 def is_higher_better(metric: str) -> bool:
     """Whether larger values are better; those of time are not."""
-    return metric in METRICS and METRICS[metric].higher_is_better
+    return metric == "cvvdp" or (metric in METRICS and METRICS[metric].higher_is_better)
 
 
 def heading(region: str, metric: str) -> str:
     """Title of a column: the metric, and the region where it is not all pixels."""
-    name = metric.upper() if metric in METRICS else "ms"
+    name = "ms" if metric == TIME else metric.upper()
     return name if region == "all" else f"{name}\n{region}"
 
 
@@ -110,7 +122,7 @@ def columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
     """(region, metric) of the rows, metrics of all pixels first, then the first metric of each region, times last."""
     first = next((row.metric for row in rows if row.metric in METRICS), "")
     found = dict.fromkeys((row.region, row.metric) for row in rows if row.region == "all" or row.metric == first)
-    return sorted(found, key=lambda key: (key[1] not in METRICS, key[0] != "all"))
+    return sorted(found, key=lambda key: (key[1] == TIME, key[0] != "all"))
 
 
 def tables(rows: Sequence[Row]) -> dict[str, Table]:

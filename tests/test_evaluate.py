@@ -11,10 +11,12 @@ import pytest
 import torch
 from conftest import disc_frame, write_disc_clip
 
+from framecast import campaign
 from framecast import evaluate as protocol
+from framecast.campaign import command
 from framecast.clip import Clip, ClipError, Record, finish, write_frame
 from framecast.color import to_display
-from framecast.evaluate import Settings, command, counts, evaluate, neighbours
+from framecast.evaluate import Settings, counts, evaluate, neighbours
 from framecast.fit import require
 from framecast.frame import Frame
 from framecast.methods import METHODS
@@ -211,7 +213,7 @@ def test_two_runs_give_the_same_numbers(disc_clip: Clip) -> None:
     )
     assert first == second
     assert {row.region for row in first if row.role == "generated"} == {"all", "disoccluded", "border", "static"}
-    assert {row.region for row in first if row.role == "shaded"} == {"all"}
+    assert {row.region for row in first if row.role == "shaded"} == {"all", "disoccluded", "border", "static"}
 
 
 def test_clips_that_share_a_name_are_told_apart(disc_clip: Clip, tmp_path: Path) -> None:
@@ -274,12 +276,12 @@ def test_results_are_read_as_written_and_other_files_are_refused(tmp_path: Path)
     assert read_results(path) == ROWS
     held = json.loads(path.read_text())
     assert set(held) == {"version", "rows"}
-    assert held["version"] == 1
+    assert held["version"] == 2
     assert list(held["rows"][0]) == ["method", "clip", "mode", "role", "region", "metric", "value", "scale"]
-    path.write_text(json.dumps({"version": 2, "rows": [{"new": 1}]}))
-    with pytest.raises(ValueError, match=r"has version 2; this framecast reads version 1"):
+    path.write_text(json.dumps({"version": 1, "rows": [{"new": 1}]}))
+    with pytest.raises(ValueError, match=r"has version 1; this framecast reads version 2"):
         read_results(path)
-    for damaged in (path.read_text()[:10], "[]", '{"version": 1, "rows": [{"method": "hold"}]}'):
+    for damaged in (path.read_text()[:10], "[]", '{"version": 2, "rows": [{"method": "hold"}]}'):
         path.write_text(damaged)
         with pytest.raises(ValueError, match="is no results file"):
             read_results(path)
@@ -325,24 +327,33 @@ def test_command_prints_tables_and_writes_the_rows(
 def test_command_goes_on_where_it_was_interrupted(
     disc_clip: Clip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, one = tmp_path / "out.json", protocol.evaluate_clip
+    path, one, ran = tmp_path / "out.json", campaign.perform, []
 
-    def interrupted(clip: Clip, label: str, name: str, *rest: object) -> list[Row]:
-        if name == "blend":
+    def interrupted(task: campaign.Task) -> list[Row]:
+        if task.method == "blend":
             raise KeyboardInterrupt
-        return one(clip, label, name, *rest)
+        return one(task)
 
-    monkeypatch.setattr(protocol, "evaluate_clip", interrupted)
+    def again(**changes: str) -> list[str]:
+        ran.clear()
+        command((disc_clip.path,), methods="hold,blend", json=path, **{"metrics": "psnr", **changes})
+        return list(ran)
+
+    monkeypatch.setattr(campaign, "perform", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        command((disc_clip.path,), methods="hold,blend", json=path, metrics="psnr")
+        again()
     assert not path.exists()
-    ran = []
-    monkeypatch.setattr(protocol, "evaluate_clip", lambda *a: ran.append(a[2]) or one(*a))
-    command((disc_clip.path,), methods="hold,blend", json=path, metrics="psnr")
-    assert ran == ["blend"]
+    held = (tmp_path / ".out.part.json").read_text()
+    monkeypatch.setattr(campaign, "perform", lambda task: ran.append(task.method) or one(task))
+    assert again() == ["blend"]
     assert list(dict.fromkeys(r.method for r in read_results(path))) == ["hold", "blend"]
-    command((disc_clip.path,), methods="hold,blend", json=path, metrics="psnr")
-    assert ran == ["blend", "hold", "blend"]  # a finished file is measured anew
+    assert again() == ["hold", "blend"]  # a finished file is measured anew
+    for changes in ({"metrics": "psnr,flicker"}, {"mode": "extrapolate"}):
+        (tmp_path / ".out.part.json").write_text(held)
+        assert again(**changes) == ["hold", "blend"]  # other numbers were asked for
+    (tmp_path / ".out.part.json").write_text(held)
+    write_disc_clip(disc_clip.path, 7, depth=disc_frame(0).depth * 2)
+    assert again() == ["hold", "blend"]  # the clip is another one
 
 
 def test_command_takes_every_method_that_fits(

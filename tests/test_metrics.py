@@ -9,6 +9,7 @@ from torchmetrics.functional.image import lpips as torchmetrics_lpips
 from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
 
 from framecast import metrics
+from framecast.flip import PIXELS_PER_DEGREE, exposures, flip_map, hdr_flip_map
 from framecast.metrics import METRICS, flip, lpips, lpips_missing, measure, psnr, ssim, ssim_map
 
 
@@ -42,11 +43,41 @@ def test_ssim_agrees_with_torchmetrics(size: tuple[int, int]) -> None:
     torch.testing.assert_close(ssim_map(image, target)[0, 0], full[0].mean(0), atol=1e-4, rtol=0)
 
 
-def test_flip_is_the_authors_number() -> None:
-    image, target = pair()
+def authors(image: torch.Tensor, target: torch.Tensor, kind: str) -> tuple[torch.Tensor, dict[str, float]]:
+    """FLIP by the C++ of its authors: the map, and what it chose."""
     arrays = (x[0].permute(1, 2, 0).contiguous().numpy() for x in (target, image))
-    theirs = flip_evaluator.evaluate(*arrays, "LDR")[1]
-    assert float(flip(image, target)) == pytest.approx(theirs, abs=1e-4)
+    settings = {"ppd": PIXELS_PER_DEGREE}
+    made, _, chosen = flip_evaluator.evaluate(*arrays, kind, applyMagma=False, parameters=settings)
+    return torch.from_numpy(made).permute(2, 0, 1)[None], chosen
+
+
+@pytest.mark.parametrize("size", [(40, 56), (65, 130)])
+def test_flip_is_the_authors_map(size: tuple[int, int]) -> None:
+    image, target = pair(*size)
+    theirs, _ = authors(image, target, "LDR")
+    torch.testing.assert_close(flip_map(image, target), theirs, atol=2e-5, rtol=0)
+    assert float(flip(image, target)) == pytest.approx(float(theirs.mean()), abs=1e-6)
+
+
+@pytest.mark.parametrize("brightest", [0.4, 30.0, 1000.0])
+def test_hdr_flip_is_the_authors_map_over_the_authors_exposures(brightest: float) -> None:
+    target = brightest * pair()[1] ** 3
+    image = target * (1 + 0.2 * torch.randn_like(target)).clamp(min=0)
+    theirs, chosen = authors(image, target, "HDR")
+    ours = exposures(target)
+    assert [ours[0], ours[-1], len(ours)] == pytest.approx(
+        [chosen["startExposure"], chosen["stopExposure"], chosen["numExposures"]], abs=1e-4
+    )
+    torch.testing.assert_close(hdr_flip_map(image, target), theirs, atol=5e-5, rtol=0)
+
+
+def test_hdr_flip_sees_what_a_display_cannot_show_at_once() -> None:
+    target = torch.full((1, 3, 40, 56), 0.05)
+    target[..., :28] = 50.0
+    image = target.clone()
+    image[..., :28] *= 0.7  # both are white on a display
+    assert float(flip_map(image.clamp(0, 1), target.clamp(0, 1)).max()) == 0
+    assert float(hdr_flip_map(image, target)[..., :20].min()) > 0.1
 
 
 @pytest.mark.parametrize("name", ["psnr", "ssim", "flip"])
@@ -122,7 +153,7 @@ def test_measure_gives_what_the_single_metrics_give() -> None:
 def test_measure_of_equal_images_needs_no_maps(monkeypatch: pytest.MonkeyPatch) -> None:
     _, target = pair()
     expected = measure(target + 0, target, ("psnr", "ssim", "flip"), {"all": None})
-    monkeypatch.setattr(flip_evaluator, "evaluate", None)
+    monkeypatch.setattr(metrics, "flip_map", None)
     assert measure(target + 0, target, ("psnr", "ssim", "flip"), {"all": None}) == expected
     assert expected == {("all", "psnr"): 100.0, ("all", "ssim"): 1.0, ("all", "flip"): 0.0}
 

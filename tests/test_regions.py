@@ -1,5 +1,6 @@
 """Regions of a frame: each law on a picture whose answer is plain."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from conftest import disc_frame, write_disc_clip
 
 from framecast import exr
 from framecast.clip import Clip
-from framecast.evaluate import Shown, change, neighbours
+from framecast.evaluate import Footage, Made, change, neighbours
 from framecast.frame import SKY
 from framecast.regions import border, hidden, moving_shading, regions, static, thin
 from framecast.warp import warp
@@ -68,27 +69,27 @@ def test_shaded_frames_look_back_to_the_frame_before_and_not_across_cuts(tmp_pat
     assert neighbours(clip, 3, "generated", "interpolate") == (2, 4)
 
 
-def shown(time: int, offset: float = 0.0, gain: float = 1.0) -> Shown:
+def made(time: int, offset: float = 0.0, before: Made | None = None) -> Made:
     color = disc_frame(time).color
     assert color is not None
-    return Shown(time, color * gain + offset, color)
+    return Made(time, "generated", 0, color + offset, color, color + offset, color, before=before)
 
 
-def flicker(before: Shown, now: Shown, clip: Clip) -> float:
+def warped(before: Made, now: Made, clip: Clip) -> float:
     """Mean difference of changes where both frames show the surface."""
-    found = change(clip, before, now, clip.__getitem__)
+    found = change(Footage(clip), replace(now, before=before))
     assert found is not None
     image, target, seen = found
     return float((image - target).abs()[seen.expand_as(image)].mean())
 
 
-def test_a_steady_error_does_not_flicker_and_a_changing_one_does(disc_clip: Clip) -> None:
-    assert flicker(shown(2, 0.1), shown(3, 0.1), disc_clip) == pytest.approx(0, abs=1e-6)
-    assert flicker(shown(2, 0.1), shown(3, -0.1), disc_clip) == pytest.approx(0.2, abs=1e-6)
+def test_a_steady_error_does_not_count_and_a_changing_one_does(disc_clip: Clip) -> None:
+    assert warped(made(2, 0.1), made(3, 0.1), disc_clip) == pytest.approx(0, abs=1e-6)
+    assert warped(made(2, 0.1), made(3, -0.1), disc_clip) == pytest.approx(0.2, abs=1e-6)
 
 
 def test_changes_are_measured_along_motion_and_where_both_frames_show_the_surface(disc_clip: Clip) -> None:
-    found = change(disc_clip, shown(2), shown(3), disc_clip.__getitem__)
+    found = change(Footage(disc_clip), made(3, before=made(2)))
     assert found is not None
     _, target, seen = found
     frame = disc_frame(3)
@@ -99,5 +100,5 @@ def test_changes_are_measured_along_motion_and_where_both_frames_show_the_surfac
 
 
 def test_nothing_changes_over_a_gap_or_a_cut(disc_clip: Clip) -> None:
-    assert change(disc_clip, shown(1), shown(3), disc_clip.__getitem__) is None
-    assert change(disc_clip.every(1, start=3), shown(-1), shown(0), disc_clip.__getitem__) is None
+    assert change(Footage(disc_clip), made(3, before=made(1))) is None
+    assert change(Footage(disc_clip.every(1, start=3)), made(0, before=made(-1))) is None

@@ -126,7 +126,7 @@ def test_curves_are_the_values_of_the_frames(page: str, clip: Clip) -> None:
     truth = [float(psnr(shown[i - 1], shown[i])) if i % 2 else None for i in range(7)]
     assert run["methods"][0]["values"]["psnr"]["all"] == pytest.approx(truth)
     for strip in run["methods"]:
-        for metric, region in (("psnr", "disoccluded"), ("ssim", "all"), ("flip", "all"), ("flicker", "all")):
+        for metric, region in (("psnr", "disoccluded"), ("ssim", "all"), ("flip", "all"), ("warped", "all")):
             found = [v for v in strip["values"][metric][region] if v is not None]
             key = (strip["name"], "generated", region, metric)
             (told,) = [r["value"] for r in rows if (r["method"], r["role"], r["region"], r["metric"]) == key]
@@ -146,7 +146,7 @@ def test_tables_hold_the_numbers_with_the_best_in_bold(page: str) -> None:
     rows = [Row(**row) for row in data_of(page)["rows"]]
     for line in cells_of(page):
         told = {r.metric: r.value for r in rows if (r.method, r.role, r.region) == (line[0], "generated", "all")}
-        assert line[1:5] == [f"{told['psnr']:.2f}", *(f"{told[m]:.4f}" for m in ("ssim", "flip", "flicker"))]
+        assert line[1:5] == [f"{told['psnr']:.2f}", *(f"{told[m]:.4f}" for m in ("ssim", "flip", "warped"))]
     assert re.search(r'<th scope="row">mobfgsr</th><td><strong>', page)
 
 

@@ -14,7 +14,7 @@ from conftest import write_disc_clip
 from framecast.clip import Clip
 from framecast.color import to_display
 from framecast.evaluate import Settings, evaluate
-from framecast.metrics import flip_map
+from framecast.flip import flip_map
 from framecast.report import report
 
 BROWSERS = ("/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome")
