@@ -1,14 +1,17 @@
 """ExtraNet and the warps that feed it: known sizes, exact motion, holes, occluders, losses."""
 
+import math
 from dataclasses import replace
 
 import pytest
 import torch
+import torch.nn.functional as F
 from passing import H, W, shot
 from torch import Tensor, nn
 
 from framecast.frame import SKY, Frame, concatenate, perspective, unshaded
 from framecast.methods.extranet import (
+    BETTER,
     Config,
     ExtraNet,
     History,
@@ -21,7 +24,7 @@ from framecast.methods.extranet import (
     scattered,
     shading_loss,
 )
-from framecast.methods.reproject import geometry, light, occluder_motion, steps, surface, valid
+from framecast.methods.reproject import PLACES, filled, geometry, light, occluder_motion, steps, surface, valid
 from framecast.methods.warps import OcclusionWarp, Warp
 from framecast.nets import multiply_accumulates, parameters
 from framecast.warp import chain, inside
@@ -34,9 +37,9 @@ def fed(method: nn.Module, frames: list[Frame]) -> History:
     return state
 
 
-def silent() -> ExtraNet:
+def silent(config: Config | None = None) -> ExtraNet:
     """The method with a network that adds nothing, so that its image is the warped one."""
-    method = ExtraNet().eval()
+    method = ExtraNet(config or Config()).eval()
     nn.init.zeros_(method.network.leave.weight)
     nn.init.zeros_(method.network.leave.bias)  # type: ignore[arg-type]
     return method
@@ -315,18 +318,70 @@ def test_the_image_is_the_warped_one_plus_what_the_network_adds() -> None:
     torch.testing.assert_close(method(request, state)[0], torch.expm1(base + 0.1) * surface(request))
 
 
-def test_the_output_can_be_added_to_the_occlusion_warp() -> None:
-    """A network that adds nothing then gives the image of `warp-occlusion`."""
-    method = ExtraNet(Config(residual="occlusion")).eval()
-    nn.init.zeros_(method.network.leave.weight)
-    nn.init.zeros_(method.network.leave.bias)  # type: ignore[arg-type]
+@torch.no_grad()
+def test_the_output_can_be_added_to_an_image_whose_holes_are_filled() -> None:
+    """A network that adds nothing gives the warp where that is valid; behind the square one sees the wall."""
     frames = [shot(t, speed=0, square=3.0) for t in (0.0, 2.0, 4.0)]
     request = unshaded(shot(5.0, speed=0, square=3.0, span=1.0))
-    image, _ = method(request, fed(method, frames))
-    expected, _ = OcclusionWarp()(request, OcclusionWarp().start(frames[-1]))
-    plain, _ = silent()(request, fed(method, frames))
-    torch.testing.assert_close(image, expected)
-    assert float((plain - expected).detach().abs().max()) > 0.1
+    state = fed(silent(), frames)
+    inputs = silent().prepare(request, state, steps(request, state.newest.shows.time, state.newest.shows.jitter))
+    plain, _ = silent()(request, state)
+    image, _ = silent(BETTER)(request, state)
+    truth = shot(5.0, speed=0, square=3.0, span=1.0).color
+    assert truth is not None
+    known = inputs.mask.bool().expand_as(plain)
+    torch.testing.assert_close(image[known], plain[known])
+    worse, better = ((found - truth)[~known].abs().mean() for found in (plain, image))
+    assert float(better) < 0.3 * float(worse)
+
+
+def test_holes_are_filled_like_a_brute_force_twin() -> None:
+    generator = torch.Generator().manual_seed(3)
+    now = geometry(shot(5.0))
+    height, width = now.depth.shape[-2:]
+
+    def noise(channels: int) -> Tensor:
+        return torch.rand(1, channels, height, width, generator=generator)
+
+    now = replace(now, normal=F.normalize(noise(3) - 0.3, dim=1), depth=3 + noise(1))
+    fallback, finish = noise(3), noise(2)
+    seen = [(noise(3), noise(1) > part) for part in (0.8, 0.7, 0.5)]
+    found = filled(seen, fallback, now, finish)
+    known = seen[2][1] | seen[1][1] | seen[0][1]
+    base = torch.where(seen[2][1], seen[2][0], torch.where(seen[1][1], seen[1][0], seen[0][0]))
+    torch.testing.assert_close(found * known, base * known)
+    holes = (~known)[0, 0].nonzero()
+    assert len(holes) > 50
+    for row, column in holes[::7].tolist():
+        total, weights = 1e-3 * fallback[0, :, row, column], 1e-3
+        for x, y in PLACES:
+            i, j = row + y, column + x
+            if 0 <= i < height and 0 <= j < width and known[0, 0, i, j]:
+                cosine = float(now.normal[0, :, i, j] @ now.normal[0, :, row, column])
+                deeper = math.log(float(now.depth[0, 0, i, j] / now.depth[0, 0, row, column])) / 0.08
+                unlike = float(((finish[0, :, i, j] - finish[0, :, row, column]) / 0.2).square().sum()) + deeper**2
+                weight = max(cosine, 0.0) ** 16 * math.exp(-unlike) / (x * x + y * y)
+                total, weights = total + weight * base[0, :, i, j], weights + weight
+        torch.testing.assert_close(found[0, :, row, column], total / weights, rtol=1e-4, atol=1e-5)
+
+
+@torch.no_grad()
+def test_what_does_not_change_is_left_alone_whatever_the_network_says() -> None:
+    """Three like frames: the image is the warped one. A light that changes: the residual is added where it does."""
+    method = ExtraNet(BETTER).eval()
+    nn.init.constant_(method.network.leave.bias, 0.5)  # type: ignore[arg-type]
+    still = [shot(t, speed=0, square=0.0) for t in (0.0, 2.0, 4.0)]
+    request = unshaded(shot(5.0, speed=0, square=0.0, span=1.0))
+    image, _ = method(request, fed(method, still))
+    kept, _ = silent(BETTER)(request, fed(method, still))
+    torch.testing.assert_close(image, kept)
+    assert still[0].color is not None
+    dimmer = still[0].color.clone()
+    dimmer[..., :8] *= 0.5
+    lit = [replace(still[0], color=dimmer), *still[1:]]
+    changed = (method(request, fed(method, lit))[0] - kept).abs().amax(1)
+    assert float(changed[..., :8].min()) > 0.05
+    assert float(changed[..., 10:].max()) < 1e-5
 
 
 def test_a_batch_is_its_images_and_a_reset_a_fresh_start() -> None:
@@ -341,7 +396,7 @@ def test_a_batch_is_its_images_and_a_reset_a_fresh_start() -> None:
     torch.testing.assert_close(both, torch.cat(apart), atol=1e-4, rtol=1e-4)
 
 
-@pytest.mark.parametrize("config", [Config(), Config(history=False), Config(occlusion=False), Config(scale=2)])
+@pytest.mark.parametrize("config", [Config(), BETTER, Config(history=False), Config(occlusion=False), Config(scale=2)])
 def test_every_configuration_runs_at_odd_sizes(config: Config) -> None:
     method = ExtraNet(config).eval()
 

@@ -15,6 +15,8 @@ Differs: Motion is accumulated from the newest frame on, each vector read where 
          The divisor of demodulation is base colour + 0.04 (1 - metallic), and 1 at the sky: the sky needs no image of
          its own. Jitter of all frames is part of the motion.
          The residual is 0 at the sky, which is its own light.
+         What ships (`BETTER`) adds the residual to a warp whose holes are filled, because nearly all of the error is
+         there: older frames that show the surface, then like surfaces around. It adds none where the frames agree.
          Losses compare colours in the log domain, not light: an error of light on a black surface is not seen.
          They are means of each image, so that they do not depend on how a batch is spread over processes.
          `Config(scale=2)` is ExtraNet+, the baseline of FASSET (Qin et al.): zeros between the pixels, the network at
@@ -41,6 +43,7 @@ from framecast.methods.reproject import (
     Geometry,
     choose,
     chosen,
+    filled,
     geometry,
     light,
     occluder_motion,
@@ -66,14 +69,21 @@ class Config:
     """Encode the three warped frames; without it the network sees the newest alone."""
     occlusion: bool = True
     """Show the network the image warped by occlusion motion; without it the plain warp twice."""
-    residual: Literal["warp", "occlusion"] = "warp"
-    """What the output is added to: the plain warp, as published, or the one by occlusion motion."""
+    residual: Literal["warp", "filled"] = "warp"
+    """What the output is added to: the plain warp, as published, or one whose holes are filled from the older frames
+    and from like surfaces around them (`reproject.filled`)."""
+    steady: bool = False
+    """Add nothing where the three warped frames agree (`unsteady`); without it everywhere, as published."""
     scale: int = 1
     """Output size divided by input size; above 1 shaded frames are super-resolved too, and nothing is demodulated."""
 
 
-BETTER = Config(residual="occlusion")
-"""What ships: the network begins with disocclusions filled, and has less to paint."""
+BETTER = Config(residual="filled", steady=True)
+"""What ships: the network begins with holes filled, has less to paint, and leaves alone what does not change."""
+
+CHANGE = 0.05
+"""Difference of two warped frames, in the log domain, from which on all of the residual is added: light that changed by
+a twentieth."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +111,7 @@ class Inputs:
     """What the network sees, at render size; colours are light in the log domain."""
 
     base: Float[Tensor, "b 3 h w"]
-    """Newest frame warped, holes filled with whatever lay there."""
+    """Newest frame warped; in its holes whatever lay there, or what `Config.residual` fills them with."""
     occluded: Float[Tensor, "b 3 h w"]
     """The same with holes read beside their occluders."""
     mask: Float[Tensor, "b 1 h w"]
@@ -239,8 +249,11 @@ class ExtraNet(nn.Module):
                 occluded = base
             else:
                 occluded = torch.where(mask, base, warp(state.newest.light, occluder_motion(now.depth, motion)))
+            surfaces = features(frame)
+            if self.config.residual == "filled":
+                base = filled(seen, occluded, now, surfaces[:, 4:])
             past = tuple(torch.cat((image, m.float()), 1) for image, m in seen)
-            return Inputs(base, occluded, mask.float(), features(frame), past, frame.jitter)
+            return Inputs(base, occluded, mask.float(), surfaces, past, frame.jitter)
 
     def predict(self, inputs: Inputs) -> Float[Tensor, "b 3 H W"]:
         """Light in the log domain, from the network."""
@@ -249,10 +262,20 @@ class ExtraNet(nn.Module):
         x = torch.cat((images, images * inputs.mask, inputs.features), 1)
         past = tuple(padded(scattered(image, jitter, scale), 8) for image in inputs.past)
         surfaces = (inputs.features[:, 3:4] < 1).float()  # the sky is its own light, and only warped
+        if self.config.steady:
+            surfaces = surfaces * unsteady(inputs)
         residual = self.network(padded(scattered(x, jitter, scale), 8), past).float()
         residual = residual if scale > 1 else residual[..., : surfaces.shape[-2], : surfaces.shape[-1]] * surfaces
-        base = enlarged(inputs.base if self.config.residual == "warp" else inputs.occluded, jitter, scale)
+        base = enlarged(inputs.base, jitter, scale)
         return residual[..., : base.shape[-2], : base.shape[-1]] + base
+
+
+def unsteady(inputs: Inputs) -> Float[Tensor, "b 1 h w"]:
+    """0 where the warped frames agree, 1 within two pixels of a hole or of a difference of `CHANGE` and more."""
+    *older, newest = inputs.past
+    change = torch.stack([(image - newest).abs().amax(1, keepdim=True) for image in older]).amax(0)
+    change = torch.where(inputs.mask > 0, change / CHANGE, 1).clamp(max=1)
+    return F.max_pool2d(change, 5, stride=1, padding=2)
 
 
 def scattered(x: Float[Tensor, "b c h w"], jitter: Float[Tensor, "b 2"], scale: int) -> Float[Tensor, "b c H W"]:

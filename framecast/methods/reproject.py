@@ -4,9 +4,12 @@ The inputs of every method that extrapolates with G-buffers. Motion here is *eff
 same sample's place on the other frame's grid of samples, so that the jitter of both frames is part of it.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
@@ -16,6 +19,20 @@ from framecast.warp import EMPTY, fetch, inside, key_index, landing, nearest_key
 
 SPECULAR = 0.04
 """Reflectance of dielectrics: what is left to divide by where the base colour is black."""
+
+AROUND = 11
+"""Pixels around a hole in which `filled` looks for like surfaces."""
+
+PLACES = tuple(
+    (round(radius * math.cos(math.pi * (k + turn) / 4)), round(radius * math.sin(math.pi * (k + turn) / 4)))
+    for radius, turn in ((1.4, 0), (3, 0.5), (6, 0), (AROUND, 0.5))
+    for k in range(8)
+)
+"""Where it looks: (x, y) of four rings, eight places each, in pixels."""
+
+NEAR, ALIKE, DOUBT = 0.08, 0.2, 1e-3
+"""Differences by which a surface is unlike another: of the logarithm of depth, and of roughness or metallic; and what
+the fallback weighs, where a like surface at one pixel's distance weighs 1."""
 
 GEOMETRY = ("depth", "motion", "normal", "object", "view", "projection")
 """Fields that `geometry` and `steps` read."""
@@ -136,6 +153,43 @@ def occluder_motion(depth: Float[Tensor, "b 1 h w"], motion: Float[Tensor, "b 2 
     """
     keys = pick(nearest_key(splat(depth, motion))[:, None], landing(motion))[:, 0]
     return torch.where((keys == EMPTY)[:, None], motion, pick(motion, key_index(keys)))
+
+
+def filled(
+    seen: Sequence[tuple[Tensor, Tensor]],
+    fallback: Float[Tensor, "b 3 h w"],
+    now: Geometry,
+    finish: Float[Tensor, "b 2 h w"],
+) -> Float[Tensor, "b 3 h w"]:
+    """Warped light with its holes filled: from an older frame that shows the surface, else from like surfaces around.
+
+    Args:
+        seen: warped light (b 3 h w) and where it is valid (b 1 h w, bool), the newest frame last.
+        fallback: what counts, a little, besides the surfaces around, and alone where there is none.
+        now: the frame that the light is warped to.
+        finish: roughness and metallic of that frame.
+
+    Around a hole 32 places up to 11 pixels away are read; each counts by 1 / distance^2 and by how much it is like the
+    hole's surface in normal, relative depth, roughness and metallic.
+    """
+    (image, known), *older = seen[::-1]
+    for light_there, valid_there in older:
+        image = torch.where(known, image, light_there)
+        known = known | valid_there
+    surfaces = torch.cat((now.normal, now.depth.clamp(max=SKY).log() / NEAR, finish / ALIKE), 1)
+    height, width = image.shape[-2:]
+    margins = [AROUND] * 4
+    around = F.pad(torch.cat((image, known.to(image.dtype)), 1), margins)
+    guides = F.pad(surfaces, margins)
+    total, weights = fallback * DOUBT, torch.full_like(fallback[:, :1], DOUBT)
+    for dx, dy in PLACES:
+        there = (..., slice(AROUND + dy, AROUND + dy + height), slice(AROUND + dx, AROUND + dx + width))
+        guide, value = guides[there], around[there]
+        cosine = (guide[:, :3] * surfaces[:, :3]).sum(1, keepdim=True).clamp(min=0)
+        distance = (guide[:, 3:] - surfaces[:, 3:]).square().sum(1, keepdim=True)
+        weight = value[:, 3:] * cosine.pow(16) * torch.exp(-distance) / (dx * dx + dy * dy)
+        total, weights = total + weight * value[:, :3], weights + weight
+    return torch.where(known, image, total / weights)
 
 
 def choose(fresh: Bool[Tensor, " b"], a: Geometry, b: Geometry) -> Geometry:

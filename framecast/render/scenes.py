@@ -15,6 +15,7 @@ from framecast.render.heldout_pond import pond
 from framecast.render.scene import Scene
 from framecast.render.train_courtyard import courtyard
 from framecast.render.train_forest import forest
+from framecast.render.train_medley import medley
 from framecast.render.train_neon import neon
 from framecast.render.train_rooms import gallery, workshop
 from framecast.render.train_tramway import tramway
@@ -26,6 +27,7 @@ SCENES: dict[str, Callable[[int], Scene]] = {
     "tramway": tramway,
     "neon": neon,
     "forest": forest,
+    "medley": medley,
     "harbor": harbor,
     "greenhouse": greenhouse,
     "hangar": hangar,
@@ -33,6 +35,6 @@ SCENES: dict[str, Callable[[int], Scene]] = {
     "pond": pond,
 }
 
-TRAIN = ("courtyard", "workshop", "gallery", "tramway", "neon", "forest")
+TRAIN = ("courtyard", "workshop", "gallery", "tramway", "neon", "forest", "medley")
 TEST = ("harbor", "greenhouse", "hangar", "clockwork", "pond")
 """The split; the same as each scene's own `split`, without building it."""
