@@ -2,7 +2,7 @@
 
     python benchmarks/interpolation.py [--size 1280x720] [--repeats 60] [--out docs/results/interpolation-speed.md]
 
-Needs the packages of the extra `bench`. The same two shaded frames of the moving scene in `framecast.bench` go to:
+Needs the packages of the extra `bench`. The same two shaded frames of the moving scene of `framecast.sample` go to:
 eager   `mobfgsr.interpolate`, plain PyTorch
 compiled  the same function as `framecast.runtime.compiled` builds it, with its default settings and true motion
 numba   the same algorithm written as fused loops below; its image is compared with the eager one
@@ -26,10 +26,12 @@ import tyro
 from numba import njit, prange
 
 from framecast import exr
-from framecast.bench import GAP, SHADED, Settings, first_calls_elsewhere, machine, run_clip, scene, variant
+from framecast.bench import SHADED, Settings, first_calls_elsewhere, run_clip, variant
 from framecast.color import to_display
 from framecast.methods.mobfgsr import MobFGSR, present
 from framecast.methods.pair import Pair
+from framecast.provenance import machine
+from framecast.sample import GAP, scene
 
 EMPTY = 0x7F800000 << 32
 f32 = np.float32

@@ -10,7 +10,6 @@ ratio to OpenCV's bicubic resize, and the most memory in use.
 import statistics
 import time as clock
 from collections.abc import Callable
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -19,20 +18,21 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from framecast.bench import machine, peak_memory, reset_peak_memory, scene
+from framecast.bench import peak_memory, reset_peak_memory
 from framecast.fit import method_named
 from framecast.frame import Frame
-from framecast.resample import jitter, phases, size_at
+from framecast.provenance import machine
+from framecast.resample import size_at
 from framecast.runtime import compiled
+from framecast.sample import scene
 
 WARM = 4
 """Frames that run before anything is timed."""
 
 
-def frames(size: tuple[int, int], scale: float) -> list[Frame]:
-    """The first moments of the scene with the jitter of a scale."""
-    made = [scene(float(t), *size, span=1.0) for t in range(WARM + 1)]
-    return [replace(f, jitter=torch.tensor([jitter(t, phases(scale))])) for t, f in enumerate(made)]
+def frames(size: tuple[int, int]) -> list[Frame]:
+    """The first moments of the scene."""
+    return [scene(float(t), *size, span=1.0) for t in range(WARM + 1)]
 
 
 def prepared(name: str, clip: list[Frame], scale: float, fast: bool) -> tuple[Callable[[], object], float]:
@@ -96,7 +96,7 @@ def main(
 
 def table(title: str, size: tuple[int, int], scale: float, methods: list[str], compiled: bool, repeats: int) -> Table:
     """The results at one size."""
-    clip = frames(size, scale)
+    clip = frames(size)
     calls = {
         "cv2 cubic": resized(clip, scale, cv2.INTER_CUBIC),
         "cv2 lanczos4": resized(clip, scale, cv2.INTER_LANCZOS4),

@@ -19,13 +19,12 @@ from rich.progress import Progress, TimeElapsedColumn
 from tyro.conf import Positional
 
 from framecast import __version__
-from framecast.bench import machine
 from framecast.clip import Clip
 from framecast.evaluate import Settings, evaluate_clip, labels, left, refuse, scale_for, untruthful
 from framecast.fit import fitting, method_named
 from framecast.importers import open_any
 from framecast.metrics import lpips_missing
-from framecast.provenance import About, described, source
+from framecast.provenance import About, described, machine, source
 from framecast.results import Mode, Row, read_provenance, read_results, tables, write_csv, write_results
 from framecast.video import video_missing
 

@@ -9,9 +9,10 @@ from rich.table import Table
 from torch import nn
 
 from framecast.fit import method_named
-from framecast.frame import Frame, moment, perspective, unshaded
+from framecast.frame import Frame, moment, unshaded
 from framecast.methods import METHODS, TRAINABLE
 from framecast.nets import multiply_accumulates, parameters
+from framecast.sample import scene
 
 SIDE = 64
 """Height and width of the frames on which operations are counted: no network pads them."""
@@ -37,42 +38,19 @@ def cost(name: str) -> Cost:
     """
     method: Any = (TRAINABLE[name][0]() if name in TRAINABLE and name not in METHODS else method_named(name)).eval()
     with torch.no_grad():
-        state = method.start(plain(0.0))
+        state = method.start(scene(0.0, SIDE, SIDE))
         for time in (0.0, 2.0, 4.0):
-            shaded = counted(method, plain(time), state)
-            state = method(plain(time), state)[1]
+            shaded = counted(method, scene(time, SIDE, SIDE), state)
+            state = method(scene(time, SIDE, SIDE), state)[1]
         makes = [mode for mode in method.modes if mode != "pass"]
         at = 5.0 if "extrapolate" in makes else 3.0
-        request = unshaded(plain(at)) if method.needs_generated else moment(at)
+        request = unshaded(scene(at, SIDE, SIDE)) if method.needs_generated else moment(at)
         return Cost(name, parameters(method), shaded, counted(method, request, state) if makes else None)
 
 
 def counted(method: nn.Module, frame: Frame, state: Any) -> float:
     """Multiply-accumulates for one pixel of a frame."""
     return multiply_accumulates(method, lambda: method(frame, state)) / SIDE**2
-
-
-def plain(time: float) -> Frame:
-    """A grey wall that stands still, with every buffer."""
-    flat = torch.full((1, 3, SIDE, SIDE), 0.5)
-    still = torch.zeros(1, 2, SIDE, SIDE)
-    return Frame(
-        color=flat,
-        depth=flat[:, :1] * 10,
-        motion=still,
-        motion_next=still,
-        albedo=flat,
-        normal=torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).expand_as(flat).contiguous(),
-        roughness=flat[:, :1],
-        metallic=flat[:, :1],
-        object=torch.zeros(1, 1, SIDE, SIDE, dtype=torch.int32),
-        jitter=torch.full((1, 2), 0.25),
-        view=torch.eye(4)[None],
-        projection=perspective(0.9, 1.0)[None],
-        time=torch.tensor([time]),
-        reset=torch.tensor([time == 0]),
-        span=torch.tensor([2.0]),
-    )
 
 
 def table(costs: Sequence[Cost], width: int, height: int) -> Table:

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from framecast.clip import Clip, ClipError
-from framecast.color import to_display
+from framecast.color import to_display, tonemap, untonemap
 from framecast.fit import Method, method_named, require, require_mode, scale_of
 from framecast.frame import Frame, moment, unshaded
 from framecast.metrics import METRICS, lpips_missing, measure
@@ -114,13 +114,23 @@ class Footage:
     def truth(self, index: int, image: Float[Tensor, "1 3 H W"], generated: bool) -> Float[Tensor, "1 3 H W"] | None:
         """What an image should be: the hidden frame, for a shaded one the reference; the other one where sizes differ.
 
-        None where the clip has neither in that size.
+        References of a multiple of the size are averaged. None where the clip has nothing of that size.
         """
         candidates = [self.frame(index).color, None if self.clip.scale is None else self.reference(index)]
         for one in candidates if generated else reversed(candidates):
-            if one is not None and one.shape == image.shape:
-                return one.to(image.device)
+            if one is not None and (found := shrunk(one, image)) is not None:
+                return found.to(image.device)
         return None
+
+
+def shrunk(reference: Float[Tensor, "1 3 h w"], image: Float[Tensor, "1 3 H W"]) -> Float[Tensor, "1 3 H W"] | None:
+    """A reference at the size of an image, each pixel the mean of those in it, taken as the renderer takes it: of
+    compressed colour. None where the size of the image is no whole part of its own."""
+    height, width = image.shape[-2:]
+    times = max(1, reference.shape[-2] // height)
+    if reference.shape[-2:] != (height * times, width * times):
+        return None
+    return reference if times == 1 else untonemap(F.avg_pool2d(tonemap(reference), times))
 
 
 @dataclass(frozen=True)
@@ -341,7 +351,8 @@ def refuse(clips: Sequence[Clip], methods: Sequence[str], mode: Mode, settings: 
 def left(clip: Clip, method: Method, mode: Mode, metrics: Sequence[str]) -> tuple[str, ...]:
     """The metrics that a clip allows: without references of the size of the images only those that need no truth."""
     scale = scale_of(method)
-    if clip.scale == scale or (scale == 1 and mode != "pass"):
+    referenced = clip.scale is not None and clip.scale % scale == 0
+    if referenced or (scale == 1 and mode != "pass"):
         return tuple(metrics)
     free = tuple(name for name in metrics if name in METRICS and METRICS[name].compares == "roles")
     return free if mode != "pass" else ()

@@ -2,11 +2,14 @@
 
 import hashlib
 import json
+import os
+import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import nn
 
 from framecast.clip import Clip
@@ -35,7 +38,7 @@ class About:
     """Configuration of each method, and the hash of its weights where it has any."""
     settings: Mapping[str, Any]
     machine: Mapping[str, Any]
-    """`bench.machine`, and the version of framecast."""
+    """`machine`, and the version of framecast."""
 
 
 def read_about(held: Mapping[str, Any]) -> About:
@@ -78,3 +81,24 @@ def files(folder: Path) -> Sequence[Path]:
     """Everything in a folder that a clip is read from; hidden files are not."""
     found = (path for path in folder.rglob("*") if path.suffix.lower() in (".exr", ".json", ".png"))
     return sorted(path for path in found if path.is_file() and not path.name.startswith("."))
+
+
+def machine(device: str = "cpu") -> dict[str, str | int | float]:
+    """What the numbers depend on besides the code."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    described: dict[str, str | int | float] = {
+        "cpu": names[0] if names else platform.processor() or platform.machine(),
+        "cores": os.cpu_count() or 1,
+        "threads": torch.get_num_threads(),
+        "instructions": torch.backends.cpu.get_cpu_capability(),
+        "torch": torch.__version__,
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}",
+    }
+    if hasattr(os, "getloadavg"):
+        described["load"] = round(os.getloadavg()[0], 1)
+    if device.startswith("cuda"):
+        described["gpu"] = torch.cuda.get_device_name(device)
+    return described

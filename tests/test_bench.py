@@ -10,16 +10,18 @@ from pathlib import Path
 import pytest
 import torch
 
-from framecast import bench
-from framecast.frame import camera_motion, project, world_position
+from framecast import bench, stages
+from framecast.frame import Frame, camera_motion, project, world_position
 from framecast.methods import METHODS
+from framecast.sample import scene
 from framecast.warp import disoccluded, inside, warp
 
 COMPILED = """
 import json, torch
 from dataclasses import replace
-from framecast.bench import GAP, Settings, graphs, run_clip, scene, variant
+from framecast.bench import Settings, graphs, run_clip, variant
 from framecast.methods.mobfgsr import MobFGSR
+from framecast.sample import GAP, scene
 
 torch.set_num_threads(2)
 settings, frames = Settings(24, 40), [scene(GAP * i, 24, 40) for i in range(5)]
@@ -41,7 +43,7 @@ print(json.dumps([worst, runs[0].recompilations, graphs(), survived]))
 
 def test_the_scene_moves_as_it_says() -> None:
     """Where both moments show a surface, motion leads to its colour; the wall moves as the camera alone tells."""
-    now, before = bench.scene(4.0, 180, 320), bench.scene(2.0, 180, 320)
+    now, before = (scene(time, 180, 320, jittered=False) for time in (4.0, 2.0))
     assert now.color is not None
     assert now.motion is not None
     both = inside(now.motion) & ~disoccluded(now.depth, before.depth, now.motion)
@@ -54,14 +56,25 @@ def test_the_scene_moves_as_it_says() -> None:
 
 
 def test_the_camera_of_the_scene_sees_pixels_where_they_are() -> None:
-    frame = bench.scene(3.0, 20, 30)
+    frame = scene(3.0, 20, 30, jittered=False)
     place, depth = project(world_position(frame.depth, frame.view, frame.projection), frame.view, frame.projection)
     torch.testing.assert_close(depth, frame.depth)
     assert abs(float(place[0, 0, 7, 11]) - 11.5) < 1e-3
     assert abs(float(place[0, 1, 7, 11]) - 7.5) < 1e-3
 
 
-@pytest.mark.filterwarnings("ignore:these frames are not jittered")  # the scene is sampled at pixel centres
+def test_jittered_samples_are_of_the_same_scene() -> None:
+    """Motion of a jittered frame leads to the same surface, seen without jitter in the frame before."""
+    now, before = scene(4.0, 180, 320), scene(2.0, 180, 320, jittered=False)
+    assert now.jitter.abs().max() > 0.05
+    assert not torch.equal(now.color, scene(4.0, 180, 320, jittered=False).color)
+    to_before = now.motion + now.jitter[:, :, None, None]  # from the pixel centre
+    both = inside(to_before) & ~disoccluded(now.depth, before.depth, to_before)
+    right = (warp(before.color, to_before) - now.color).abs().mean(1, keepdim=True)[both].mean()
+    assert right < 0.02
+    assert right < 0.8 * (warp(before.color, now.motion) - now.color).abs().mean(1, keepdim=True)[both].mean()
+
+
 def test_every_method_is_measured_in_every_role_it_has() -> None:
     rows = bench.bench(list(METHODS), "hold", bench.Settings(24, 40, repeats=2, compile=False))
     for name, make in METHODS.items():
@@ -70,6 +83,11 @@ def test_every_method_is_measured_in_every_role_it_has() -> None:
     assert all(row.ratio == 1 for row in rows if row.method == "hold")
     assert max(row.ratio for row in rows if row.method == "mobfgsr" and row.ratio) > 3
     assert all(50 < row.peak_memory < 1e5 for row in rows)
+    assert all(0 <= row.memory < row.peak_memory for row in rows)
+    spent = {(row.method, row.role): row.stages for row in rows}
+    assert {"interpolate", "blend", "read"} <= set(spent["mobfgsr", "interpolate"])
+    assert "shade" in spent["mobfgsr", "shaded"]
+    assert all(time >= 0 for found in spent.values() for time in found.values())
     assert {row.recompilations for row in rows} == {0}
 
 
@@ -81,6 +99,47 @@ def test_peak_memory_is_that_of_the_run() -> None:
     torch.ones(30_000_000)
     grown = bench.peak_memory("cpu") - before
     assert 100 < grown < 200
+
+
+def test_stages_have_what_they_spend_themselves_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks = iter(range(100))
+    monkeypatch.setattr(stages.clock, "perf_counter", lambda: next(ticks) / 1e3)
+    watch = stages.Stopwatch("cpu")
+    with watch.stage("rest"), watch.stage("outer"):
+        for _ in range(2):
+            with watch.stage("inner"):
+                pass
+    assert watch.spent == pytest.approx({"rest": 2, "outer": 3, "inner": 2})
+
+
+def test_a_method_adds_the_memory_that_it_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Holding(type(METHODS["hold"]())):
+        def forward(self, frame: Frame, state: object) -> tuple[torch.Tensor, object]:
+            torch.ones(10_000_000)
+            return super().forward(frame, state)
+
+    monkeypatch.setitem(METHODS, "holding", Holding)
+    rows = bench.bench(["holding"], "hold", bench.Settings(24, 40, repeats=1, compile=False))
+    added = {row.method: row.memory for row in rows}
+    assert added["hold"] < 10
+    assert 35 < added["holding"] < 60
+
+
+def test_a_profile_is_a_trace_of_roles_stages_and_operators(tmp_path: Path) -> None:
+    path, settings = tmp_path / "trace.json", bench.Settings(24, 40, repeats=1, compile=False)
+    bench.bench(["mobfgsr"], "hold", settings, path)
+    names = {event.get("name") for event in json.loads(path.read_text())["traceEvents"]}
+    assert {"hold interpolate eager", "mobfgsr interpolate eager", "blend", "aten::add"} <= names
+
+
+def test_larger_images_are_measured_at_a_scale(tmp_path: Path) -> None:
+    small, large = (
+        bench.bench(["mobfgsr"], "bilinear", bench.Settings(24, 40, repeats=1, compile=False, scale=scale))
+        for scale in (2.0, 3.0)
+    )
+    assert [row.method for row in small] == [row.method for row in large] == ["bilinear", *["mobfgsr"] * 3]
+    with pytest.raises(ValueError, match="blend cannot make 2 times the size"):
+        bench.bench(["mobfgsr"], "blend", bench.Settings(24, 40, compile=False, scale=2.0))
 
 
 def test_the_command_writes_rows_and_the_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,6 +25,8 @@ LEVELS = {
     "nets": 1,
     "weights": 1,
     "recipe": 1,
+    "sample": 2,
+    "stages": 2,
     "clip": 2,
     "methods": 2,
     "runtime": 3,

@@ -30,9 +30,10 @@ from crops import unpack
 from framecast.clip import Clip
 from framecast.data import Footage, footage
 from framecast.exr import whole
-from framecast.frame import Frame, moment, perspective, unshaded
+from framecast.frame import Frame, moment, unshaded
 from framecast.methods import METHODS, TRAINABLE
 from framecast.runtime import compiled
+from framecast.sample import scene
 from framecast.train import Settings, train, trainable
 
 SCENES = ("courtyard", "workshop", "gallery", "tramway", "neon", "forest")
@@ -98,11 +99,11 @@ def render(folder: Path, plan: Plan, over: Callable[[], bool]) -> list[Clip]:
         return []
     clips = []
     for seed in plan.seeds:
-        for scene in plan.scenes:
-            where = folder / f"{scene}-{seed}"
+        for name in plan.scenes:
+            where = folder / f"{name}-{seed}"
             if over() and not (where / "clip.json").is_file():
                 continue
-            clips.append(render_clip(Render(scene, plan.size, 1.0, seed, 0), where, frames=plan.frames))
+            clips.append(render_clip(Render(name, plan.size, 1.0, seed, 0), where, frames=plan.frames))
     return clips
 
 
@@ -118,28 +119,8 @@ def sources(folder: Path, plan: Plan, crops: Path | None, over: Callable[[], boo
 
 
 def frame(time: float, height: int, width: int, where: str) -> Frame:
-    """A frame of noise with every buffer: a wall at depth 5 that moves by 3 pixels between shaded frames."""
-    generator = torch.Generator().manual_seed(int(time))
-    image = torch.rand(1, 3, height, width, generator=generator)
-    motion = torch.tensor([3.0, 0.5]).view(1, 2, 1, 1).expand(1, 2, height, width).contiguous()
-    made = Frame(
-        color=image,
-        depth=5 + image[:, :1],
-        motion=motion,
-        motion_next=-motion,
-        albedo=image,
-        normal=torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).expand_as(image).contiguous(),
-        roughness=image[:, :1],
-        metallic=image[:, 1:2],
-        object=(image[:, :1] > 0.9).int(),
-        jitter=torch.zeros(1, 2),
-        view=torch.eye(4)[None],
-        projection=perspective(0.9, width / height)[None],
-        time=torch.tensor([time]),
-        reset=torch.tensor([time == 0]),
-        span=torch.tensor([2.0]),
-    )
-    return made.to(where)
+    """A frame with every buffer, of the scene that methods are timed on."""
+    return scene(time, height, width).to(where)
 
 
 def measure(method: Any, variant: str, size: tuple[int, int], repeats: int) -> dict[str, float]:
