@@ -357,10 +357,10 @@ def test_holes_are_filled_like_a_brute_force_twin() -> None:
         for x, y in PLACES:
             i, j = row + y, column + x
             if 0 <= i < height and 0 <= j < width and known[0, 0, i, j]:
-                cosine = float(now.normal[0, :, i, j] @ now.normal[0, :, row, column])
+                turned = float((now.normal[0, :, i, j] - now.normal[0, :, row, column]).square().sum()) / 0.35**2
                 deeper = math.log(float(now.depth[0, 0, i, j] / now.depth[0, 0, row, column])) / 0.08
-                unlike = float(((finish[0, :, i, j] - finish[0, :, row, column]) / 0.2).square().sum()) + deeper**2
-                weight = max(cosine, 0.0) ** 16 * math.exp(-unlike) / (x * x + y * y)
+                other = float(((finish[0, :, i, j] - finish[0, :, row, column]) / 0.2).square().sum())
+                weight = math.exp(-turned - deeper**2 - other) / (x * x + y * y)
                 total, weights = total + weight * base[0, :, i, j], weights + weight
         torch.testing.assert_close(found[0, :, row, column], total / weights, rtol=1e-4, atol=1e-5)
 
