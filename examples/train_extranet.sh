@@ -20,6 +20,12 @@ for seed in ${seeds:-0 1 2 3}; do
       --samples 0 --frames "${frames:-32}" "$jitter"
   done
 done
+# Random worlds, each another: what keeps the network from learning six scenes by heart.
+for seed in ${seeds:-0 1 2 3 4 5 6 7 8 9 10 11 12 13}; do
+  jitter=$([ $((seed % 2)) -eq 0 ] && echo --jitter || echo --no-jitter)
+  framecast render medley -o "$out/clips/train/medley-$seed" --seed "$seed" --size 320x180 --scale 1 --samples 0 \
+    --frames "${frames:-20}" "$jitter"
+done
 for scene in harbor greenhouse hangar clockwork pond; do
   framecast render "$scene" -o "$out/clips/test/$scene" --size 320x180 --scale 1 --samples 1 --frames "${frames:-25}" \
     --no-jitter

@@ -46,4 +46,4 @@ class Recipe:
     """Samples are brightened and darkened at random by up to this many factors of two."""
     recolour: bool = True
     """Samples have their colour channels exchanged and tinted by up to half a factor of two, and their world turned, at
-    random: six scenes have few colours, and one sun each."""
+    random: a few scenes have few colours, and one sun each."""

@@ -32,11 +32,11 @@ from framecast.data import Footage, footage
 from framecast.exr import whole
 from framecast.frame import Frame, moment, unshaded
 from framecast.methods import METHODS, TRAINABLE
+from framecast.render.scenes import TRAIN
 from framecast.runtime import compiled
 from framecast.sample import scene
 from framecast.train import Settings, train, trainable
 
-SCENES = ("courtyard", "workshop", "gallery", "tramway", "neon", "forest")
 SIZES = ((540, 960), (720, 1280), (1080, 1920))
 VARIANTS = ("eager", "half", "compiled", "graph")
 
@@ -49,7 +49,7 @@ class Plan:
     """Of rendered clips."""
     frames: int = 32
     seeds: tuple[int, ...] = (0, 1)
-    scenes: tuple[str, ...] = SCENES
+    scenes: tuple[str, ...] = TRAIN
     steps: int = 12_000
     batch: int = 8
     crop: int = 256
@@ -59,7 +59,7 @@ class Plan:
     repeats: int = 30
 
 
-TINY = Plan((64, 64), 6, (0,), SCENES[:1], 2, 2, 16, ((24, 40),), ("eager", "half"), 2)
+TINY = Plan((64, 64), 6, (0,), TRAIN[:1], 2, 2, 16, ((24, 40),), ("eager", "half"), 2)
 
 
 def device() -> str:
