@@ -28,6 +28,7 @@ from tyro.conf import Positional
 from framecast import cost, exr
 from framecast.fit import Method, method_named
 from framecast.frame import Frame, moment, unshaded
+from framecast.methods import METHODS
 from framecast.provenance import machine
 from framecast.runtime import can_compile, compiled, inference, placed
 from framecast.sample import GAP, scene
@@ -170,20 +171,24 @@ def run_clip(v: Variant, frames: Sequence[Frame], settings: Settings) -> Variant
 
     The clip runs twice, and memory is looked at in the second run, which compiles nothing.
     """
+    given = [
+        (role, frame if role == "shaded" else request(role, frame, v.call))
+        for i, frame in enumerate(frames)
+        for role in (v.roles if i else v.roles[:1])
+    ]
     seen: set[Role] = set()
     for _ in range(2):
         v.state = None
         before = reset_peak_memory(settings.device)
         v.state = v.call.start(frames[0])
-        for i, frame in enumerate(frames):
-            for role in v.roles if i else v.roles[:1]:
-                known = graphs()
-                with inference(v.call, settings.device):
-                    image, state = v.call(frame if role == "shaded" else request(role, frame, v.call), v.state)
-                v.state = state
-                v.recompilations += graphs() - known if role in seen else 0
-                seen.add(role)
-                del image, state
+        for role, frame in given:
+            known = graphs()
+            with inference(v.call, settings.device):
+                image, state = v.call(frame, v.state)
+            v.state = state
+            v.recompilations += graphs() - known if role in seen else 0
+            seen.add(role)
+            del image, state
     v.peak_memory = peak_memory(settings.device)
     v.memory = v.peak_memory - before
     return v
@@ -391,6 +396,8 @@ def command(
     """
     width, height = _size(size)
     baseline = baseline or ("blend" if scale in (None, 1.0) else "bilinear")
+    if not methods:
+        raise ValueError(f"name at least one method to measure: {', '.join(METHODS)}")
     if repeats < 1:
         raise ValueError(f"--repeats is {repeats}; it has to be a whole number, at least 1")
     if threads is not None:

@@ -6,6 +6,7 @@ the same to the last bit wherever the tasks ran, as every one of them computes w
 
 import multiprocessing
 import signal
+import socket
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -103,8 +104,9 @@ def on_cluster(wanted: Sequence[Task], address: str) -> Iterator[tuple[Task, lis
             "--ray needs Ray, which is not installed; install it: pip install 'framecast[cluster]'"
         ) from error
     try:
+        require_answer(address)
         ray.init(address=address, include_dashboard=False if address == "local" else None, log_to_driver=False)
-    except (ConnectionError, ValueError, RuntimeError) as error:
+    except (OSError, ValueError) as error:
         raise ValueError(f"no Ray cluster answers at {address}; start one with: ray start --head") from error
     remote = ray.remote(num_cpus=1)(perform)
     try:
@@ -113,9 +115,16 @@ def on_cluster(wanted: Sequence[Task], address: str) -> Iterator[tuple[Task, lis
             (done,), _ = ray.wait(list(running), num_returns=1)
             yield running.pop(done), ray.get(done)
     except ray.exceptions.RayTaskError as error:
-        raise error.cause from None
+        raise (error.cause or error) from None
     finally:
         ray.shutdown()
+
+
+def require_answer(address: str) -> None:
+    """Raises OSError or ValueError where nothing listens at an address with a port: Ray itself would wait for long."""
+    if ":" in address:
+        host, _, port = address.rpartition("://")[2].rpartition(":")
+        socket.create_connection((host, int(port)), timeout=5).close()
 
 
 # The command.
@@ -191,7 +200,10 @@ def ordered(wanted: Sequence[Task], found: dict[Task, list[Row]]) -> list[Row]:
 
 def finished(wanted: Sequence[Task], part: Path, about: About) -> dict[Task, list[Row]]:
     """The rows of an earlier run that did not end, of tasks whose clip, method and metrics are still the same."""
-    before = read_provenance(part) if part.is_file() else None
+    try:
+        before = read_provenance(part) if part.is_file() else None
+    except ValueError:  # cut off, or of another version: nothing in it counts
+        before = None
     if before is None:
         return {}
     held: dict[tuple[str, str, Mode], list[Row]] = {}

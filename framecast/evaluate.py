@@ -25,7 +25,7 @@ from framecast.fit import Method, method_named, require, require_mode, scale_of
 from framecast.frame import Frame, moment, unshaded
 from framecast.metrics import METRICS, lpips_missing, measure
 from framecast.regions import hidden, regions
-from framecast.results import Mode, Role, Row
+from framecast.results import ROLES, Mode, Role, Row
 from framecast.runtime import Output, schedule, stream
 from framecast.video import NAME as VIDEO
 from framecast.video import Film, video_missing
@@ -82,9 +82,12 @@ def evaluate_clip(clip: Clip, label: str, name: str, mode: Mode, settings: Setti
     times: dict[tuple[Role, int], list[float]] = defaultdict(list)
     footage = Footage(clip)
     films: dict[int, Film] = {}
+    truthful = any(one not in METRICS or METRICS[one].compares != "roles" for one in settings.metrics)
     for made in images(footage, name, mode, settings):
         for one in made:
             times[one.role, one.start].append(one.milliseconds)
+            if truthful and one.truth is None:
+                raise ClipError(missing(clip, one))
         for (role, region, metric), value in judged(footage, made, mode, settings).items():
             values[role, region, metric].append(value)
         for one in made if VIDEO in settings.metrics else ():
@@ -93,7 +96,7 @@ def evaluate_clip(clip: Clip, label: str, name: str, mode: Mode, settings: Setti
     main: Role = "shaded" if mode == "pass" else "generated"
     if films:
         averages[main, "all", VIDEO] = statistics.fmean(film.quality(settings.device) for film in films.values())
-    for role in ("shaded", "generated"):
+    for role in ROLES:
         spent = [ms for (of, _), all_of in times.items() if of == role for ms in all_of[min(WARMUP, len(all_of) - 1) :]]
         if spent:
             averages[role, "all", "milliseconds"] = statistics.median(spent)
@@ -156,9 +159,9 @@ class Made:
 
 def images(footage: Footage, name: str, mode: Mode, settings: Settings) -> Iterator[list[Made]]:
     """What a method, by name, makes of a clip, in display order: of each frame one image, or one in each role."""
-    scale = scale_for(footage.clip, mode, settings)
-    joint = mode != "pass" and scale_of(method_named(name, scale)) > 1
-    runs = [run(footage, method_named(name, scale), mode, settings, start) for start in range(RATE if joint else 1)]
+    method = method_named(name, scale_for(footage.clip, mode, settings))
+    joint = mode != "pass" and scale_of(method) > 1
+    runs = [run(footage, method, mode, settings, start) for start in range(RATE if joint else 1)]
     for _, found in groupby(merge(*runs, key=lambda one: one.index), lambda one: one.index):
         yield list(found)
 
@@ -368,6 +371,15 @@ def untruthful(clip: Clip, method: Method, mode: Mode, metrics: Sequence[str]) -
         f"{clip.path} has {has}, and images of {width}x{height} pixels are to be judged: {', '.join(needing)} "
         f"need{'s' if len(needing) == 1 else ''} references of that size, {', '.join(remaining) or 'nothing'} remains. "
         f"Render the clip with --scale {scale_of(method):g}"
+    )
+
+
+def missing(clip: Clip, one: Made) -> str:
+    """Says which frame cannot be compared."""
+    height, width = one.image.shape[-2:]
+    return (
+        f"frame {clip.shown[one.index].number} of {clip.path} has no reference of {width}x{height} pixels, though its "
+        f"clip has references of {clip.scale or 1:g} times the size; render or copy it again"
     )
 
 

@@ -8,6 +8,7 @@ against which the tests hold it; and it runs on GPUs.
 
 import math
 from functools import lru_cache
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -207,6 +208,7 @@ def features(light: Float[Tensor, "b h w"]) -> Float[Tensor, "b 4 h w"]:
 
 
 Kernel = tuple[float, ...]
+Edge = Literal["replicate", "reflect"]
 
 
 def _gaussian(sigma: float, radius: int) -> Kernel:
@@ -219,22 +221,29 @@ def _halves(kernel: Kernel) -> Kernel:
     return tuple(k / (above if k > 0 else below) for k in kernel)
 
 
-def along_rows(image: Float[Tensor, "b h w"], kernels: tuple[Kernel, ...]) -> Float[Tensor, "n b h w"]:
-    """Correlation of rows with kernels of one odd length; beyond the border the last pixel goes on."""
+def along_rows(
+    image: Float[Tensor, "b h w"], kernels: tuple[Kernel, ...], edge: Edge = "replicate"
+) -> Float[Tensor, "n b h w"]:
+    """Correlation of rows with kernels of one odd length.
+
+    Beyond the border the last pixel goes on, or the image is mirrored (where it is larger than half of a kernel).
+    """
     width, matrix = image.shape[-1], _toeplitz(kernels).to(image)
     reach = len(kernels[0]) // 2
-    padded = F.pad(image, (reach, reach + -width % BLOCK), mode="replicate")
+    padded = F.pad(image, (reach, reach), mode=edge if width > reach else "replicate")
+    padded = F.pad(padded, (0, -width % BLOCK))
     # Copied, all blocks are one product; left as they lie, each row would be one of its own.
     made = padded.unfold(-1, BLOCK + 2 * reach, BLOCK).contiguous() @ matrix
     parts = made.unflatten(-1, (len(kernels), BLOCK)).movedim(-2, 0)
     return parts.flatten(-2)[..., :width]
 
 
-def along_columns(image: Float[Tensor, "b h w"], kernel: Kernel) -> Float[Tensor, "b h w"]:
+def along_columns(image: Float[Tensor, "b h w"], kernel: Kernel, edge: Edge = "replicate") -> Float[Tensor, "b h w"]:
     """The same of columns, with one kernel."""
     height, matrix = image.shape[-2], _toeplitz((kernel,)).to(image)
     reach = len(kernel) // 2
-    padded = F.pad(image[:, None], (0, 0, reach, reach + -height % BLOCK), mode="replicate")[:, 0]
+    padded = F.pad(image[:, None], (0, 0, reach, reach), mode=edge if height > reach else "replicate")[:, 0]
+    padded = F.pad(padded, (0, 0, 0, -height % BLOCK))
     made = matrix.T @ padded.unfold(-2, BLOCK + 2 * reach, BLOCK).transpose(-1, -2)
     return made.flatten(1, 2)[:, :height]
 

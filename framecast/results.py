@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from rich import box
 from rich.table import Table
@@ -23,6 +23,7 @@ MEAN = "mean"
 
 Mode = Literal["interpolate", "extrapolate", "mixed", "pass"]
 Role = Literal["shaded", "generated"]
+ROLES: tuple[Role, ...] = get_args(Role)
 
 DIGITS = {"psnr": 2, "cvvdp": 3, "milliseconds": 1}
 """Decimals shown; 4 for every other metric."""
@@ -147,8 +148,10 @@ def groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def _untouched(rows: Sequence[Row]) -> bool:
-    """Whether every value that compares images is perfect."""
-    return all(row.value == METRICS[row.metric].perfect for row in rows if row.metric in METRICS)
+    """Whether every value that compares an image with the truth is perfect."""
+    kinds = ("display", "linear")
+    compared = [row for row in rows if row.metric in METRICS and METRICS[row.metric].compares in kinds]
+    return all(row.value == METRICS[row.metric].perfect for row in compared)
 
 
 def _table(rows: Sequence[Row]) -> Table:

@@ -158,6 +158,7 @@ def test_the_command_writes_rows_and_the_machine(tmp_path: Path, capsys: pytest.
         ({"methods": ("nothing",)}, "no method 'nothing'"),
         ({"methods": ("hold",), "size": "720p"}, "give width x height"),
         ({"methods": ("hold",), "repeats": 0}, "at least 1"),
+        ({"methods": ()}, "name at least one method to measure: hold"),
     ],
 )
 def test_what_cannot_be_measured_is_refused(given: dict[str, object], words: str) -> None:

@@ -12,7 +12,7 @@ import torch
 from conftest import disc_frame, write_disc_clip
 from torch.nn.functional import interpolate
 
-from framecast import campaign
+from framecast import campaign, video
 from framecast.campaign import command, spread, tasks
 from framecast.cli import main
 from framecast.clip import Clip, ClipError, finish, write_frame
@@ -169,6 +169,24 @@ def test_without_references_is_said_which_metrics_remain(
         command((disc_clip.path,), "twice", "pass")
 
 
+def test_a_reference_that_is_gone_is_named(tmp_path: Path, twice: Callable) -> None:
+    twice()
+    clip = large_clip(tmp_path / "clip")
+    (clip.path / "reference" / "0003.exr").unlink()
+    with pytest.raises(ClipError, match=r"frame 3 of .*clip has no reference of 96x64 pixels.* copy it again"):
+        evaluate([clip], ["twice"], "pass", SETTINGS)
+
+
+def test_references_of_twice_the_size_serve_images_of_the_frames_own(tmp_path: Path) -> None:
+    clip = large_clip(tmp_path / "clip")
+    (truth,) = {
+        r.value
+        for r in evaluate([clip], ["bilinear"], "pass", Settings(("psnr",), scale=1.0))
+        if (r.metric, r.region) == ("psnr", "all")
+    }
+    assert truth > 60  # every pixel four times, averaged again, is the frame; half floats round
+
+
 def test_bad_input_is_said_in_a_sentence(tmp_path: Path, disc_clip: Clip, capsys: pytest.CaptureFixture) -> None:
     one = write_disc_clip(tmp_path / "one", 1)
     cases = [
@@ -180,6 +198,32 @@ def test_bad_input_is_said_in_a_sentence(tmp_path: Path, disc_clip: Clip, capsys
     for arguments, words in cases[: 4 if importlib.util.find_spec("ray") else 3]:
         assert main(["evaluate", *arguments]) == 2
         assert words in capsys.readouterr().err
+
+
+def test_what_is_not_installed_is_left_out_and_said(
+    disc_clip: Clip, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "pycvvdp" else find(name, *a))
+    command((disc_clip.path,), "hold", metrics="psnr,cvvdp")
+    assert "install it with: pip install 'framecast[video-quality]'" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="ColorVideoVDP is not installed"):
+        evaluate([disc_clip], ["hold"], "interpolate", Settings(("cvvdp",)))
+
+
+@pytest.mark.skipif(video.video_missing() is not None, reason="ColorVideoVDP is not installed (pip install cvvdp)")
+@pytest.mark.filterwarnings("ignore")  # of the packages that it needs
+def test_colorvideovdp_is_ten_for_equal_films_and_falls_with_the_error(disc_clip: Clip) -> None:
+    color = [to_display(disc_frame(t).color.half().float()) for t in range(7)]
+    found = []
+    for noise in (0.0, 0.05, 0.2):
+        film = video.Film(24.0)
+        for target in color:
+            film.add((target + noise * torch.rand_like(target)).clamp(0, 1), target)
+        found.append(film.quality())
+    assert found[0] == pytest.approx(10, abs=1e-3)
+    assert found == sorted(found, reverse=True)
+    assert len(set(found)) == 3
 
 
 def test_a_task_sets_the_threads_that_make_rows_the_same(disc_clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -308,6 +308,8 @@ def test_tables_show_each_clip_and_the_mean_with_the_best_in_bold() -> None:
     assert not any("bold" in str(cell) for table in equal.values() for column in table.columns for cell in column.cells)
     changed = [replace(r, value=40.0) if r.role == "shaded" else r for r in ROWS]
     assert "a: shaded frames, interpolate" in tables(changed)
+    after = [replace(r, metric="warped", value=0.1) if r.role == "shaded" else r for r in ROWS]
+    assert "a: shaded frames, interpolate" not in tables(after)  # only frames around them are wrong
 
 
 def test_command_prints_tables_and_writes_the_rows(
