@@ -141,15 +141,21 @@ def _same_surface(
     height, width = depth.shape[-2:]
     centre = landing(motion)
     row, column = centre // width, centre % width
-    best, least = centre, (pick(other, centre) / depth).log().abs()
+    best, least = centre, _unlike(pick(other, centre), depth)
     least = torch.where(least < 0.02, -1.0, least)
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             index = (row + dy).clamp(0, height - 1) * width + (column + dx).clamp(0, width - 1)
-            misfit = (pick(other, index) / depth).log().abs()
+            misfit = _unlike(pick(other, index), depth)
             better = misfit < least
             best, least = torch.where(better[:, 0], index, best), torch.where(better, misfit, least)
     return best, least
+
+
+def _unlike(depth: Tensor, other: Tensor) -> Tensor:
+    """By what part the larger depth exceeds the smaller one; a logarithm would cost more than the gather."""
+    ratio = depth / other
+    return torch.maximum(ratio, 1 / ratio) - 1
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,17 @@ from framecast.methods.extranet import (
     scattered,
     shading_loss,
 )
-from framecast.methods.reproject import PLACES, filled, geometry, light, occluder_motion, steps, surface, valid
+from framecast.methods.reproject import (
+    PLACES,
+    fill_everywhere,
+    filled,
+    geometry,
+    light,
+    occluder_motion,
+    steps,
+    surface,
+    valid,
+)
 from framecast.methods.warps import OcclusionWarp, Warp
 from framecast.nets import multiply_accumulates, parameters
 from framecast.warp import chain, inside
@@ -350,6 +360,8 @@ def test_holes_are_filled_like_a_brute_force_twin() -> None:
     known = seen[2][1] | seen[1][1] | seen[0][1]
     base = torch.where(seen[2][1], seen[2][0], torch.where(seen[1][1], seen[1][0], seen[0][0]))
     torch.testing.assert_close(found * known, base * known)
+    surfaces = torch.cat((now.normal / 0.35, now.depth.log() / 0.08, finish / 0.2), 1)
+    torch.testing.assert_close(fill_everywhere(base, known, surfaces, fallback), found, rtol=1e-4, atol=1e-5)
     holes = (~known)[0, 0].nonzero()
     assert len(holes) > 50
     for row, column in holes[::7].tolist():
@@ -384,8 +396,9 @@ def test_what_does_not_change_is_left_alone_whatever_the_network_says() -> None:
     assert float(changed[..., 10:].max()) < 1e-5
 
 
-def test_a_batch_is_its_images_and_a_reset_a_fresh_start() -> None:
-    method = ExtraNet().eval()
+@pytest.mark.parametrize("config", [Config(), BETTER])
+def test_a_batch_is_its_images_and_a_reset_a_fresh_start(config: Config) -> None:
+    method = ExtraNet(config).eval()
     one = [shot(t) for t in (0.0, 2.0, 4.0)]
     two = [shot(0.0, square=2.0), shot(2.0, square=2.0), replace(shot(4.0, square=2.0), reset=torch.tensor([True]))]
     request = [unshaded(shot(5.0, span=1.0)), unshaded(shot(5.0, square=2.0, span=1.0))]

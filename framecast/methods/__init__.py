@@ -28,6 +28,7 @@ from framecast.methods.taau import TAA, TAAU
 from framecast.methods.warp3d import Warp3D
 from framecast.methods.warps import OcclusionWarp, Warp
 from framecast.recipe import Recipe
+from framecast.weights import shipped
 
 METHODS: dict[str, Callable[[], nn.Module]] = {
     "hold": Hold,
@@ -43,6 +44,8 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "taa": TAA,
     "taau": TAAU,
     "fsr2": FSR2,
+    "nsrr": lambda: shipped("nsrr", NSRR(nsrr.FAST)),
+    "mnss": lambda: shipped("mnss", MNSS()),
 }
 
 TRAINABLE: dict[str, tuple[Callable[[], nn.Module], Recipe]] = {
@@ -50,13 +53,14 @@ TRAINABLE: dict[str, tuple[Callable[[], nn.Module], Recipe]] = {
     "extranet-published": (ExtraNet, extranet.recipe),
     "extranet-plus": (lambda: ExtraNet(extranet.Config(scale=2)), extranet.recipe),
     "extranet-without-history": (lambda: ExtraNet(replace(extranet.BETTER, history=False)), extranet.recipe),
-    "extranet-without-occlusion": (lambda: ExtraNet(extranet.Config(occlusion=False)), extranet.recipe),
+    "extranet-without-occlusion": (lambda: ExtraNet(replace(extranet.BETTER, occlusion=False)), extranet.recipe),
     "extranet-without-shading": (
         lambda: ExtraNet(extranet.BETTER),
         replace(extranet.recipe, loss=extranet.loss_without_shading),
     ),
-    "nsrr": (lambda: NSRR(nsrr.FAST), nsrr.recipe),
+    "nsrr": (lambda: NSRR(nsrr.STEADY), nsrr.steady_recipe),
+    "nsrr-five-frames": (lambda: NSRR(nsrr.FAST), nsrr.recipe),
     "mnss": (MNSS, mnss.recipe),
 }
 """Networks with random weights, and their recipes. Without history, occlusion and shading are the paper's ablations;
-"published" adds its output to the plain warp, the others to the one by occlusion motion."""
+"published" adds its output to the plain warp everywhere, the others to one whose holes are filled, where it changes."""
