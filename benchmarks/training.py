@@ -72,9 +72,9 @@ def throughput(
     torch.manual_seed(0)
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "run"
-        train(name, make(), recipe, sources, run, Settings(log=steps // 4, pictures=0, workers=workers))
-        lines = [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()][1:]
-    found = {key: statistics.median(line[key] for line in lines) for key in ("samples_per_second", "waiting")}
+        train(name, make(), recipe, sources, run, Settings(log=max(1, steps // 4), pictures=0, workers=workers))
+        lines = [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
+    found = {key: statistics.median(line[key] for line in lines[len(lines) // 4 :]) for key in ("samples_per_second", "waiting")}
     return {"workers": workers, **found}
 
 
