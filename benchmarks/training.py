@@ -74,7 +74,8 @@ def throughput(
         run = Path(folder) / "run"
         train(name, make(), recipe, sources, run, Settings(log=max(1, steps // 4), pictures=0, workers=workers))
         lines = [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
-    found = {key: statistics.median(line[key] for line in lines[len(lines) // 4 :]) for key in ("samples_per_second", "waiting")}
+    later = lines[len(lines) // 4 :]
+    found = {key: statistics.median(line[key] for line in later) for key in ("samples_per_second", "waiting")}
     return {"workers": workers, **found}
 
 
