@@ -7,7 +7,7 @@ image goes on with its edge pixels. Written per plane and without branches on da
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -201,21 +201,50 @@ def sharp_warp(
     across, down = _weights(x - left, kernel), _weights(y - top, kernel)
     if not torch.compiler.is_compiling() and min(height, width) > 1:
         return _merged(image, (left, top), across, down, bounded)
-    columns = [(left + k).clamp(0, width - 1).to(torch.int32) for k in (-1, 0, 1, 2)]
-    rows = [(top + k).clamp(0, height - 1).to(torch.int32) * width for k in (-1, 0, 1, 2)]
+    # Joined, places and weights are made before pixels are read, instead of anew for every one of them.
+    first = torch.stack((first_of_sixteen(top, left, width),))[0]
+    weights = torch.stack((*across, *down)).unbind(0)
     planes = []
-    for plane in image.unbind(1):
-        flat = plane.flatten(1)
-        taps = [[flat.gather(1, (r + c).flatten(1).long()).view(x.shape) for c in columns] for r in rows]
-        lines = [sum(w * t for w, t in zip(across, line, strict=True)) for line in taps]
-        value: Tensor = sum(w * line for w, line in zip(down, lines, strict=True))  # type: ignore[assignment]
-        if bounded:
-            (a, b), (c, d) = taps[1][1:3], taps[2][1:3]
-            low, high = torch.minimum(torch.minimum(a, b), torch.minimum(c, d)), torch.maximum(a, b)
-            high = torch.maximum(high, torch.maximum(c, d))
-            value = torch.minimum(torch.maximum(value, low), high)
-        planes.append(value)
+    for taps in sixteen(image, first):
+        lines = [_weighted(weights[:4], taps[k : k + 4]) for k in (0, 4, 8, 12)]
+        value = _weighted(weights[4:], lines)
+        planes.append(between([taps[k] for k in INNER], value) if bounded else value)
     return torch.stack(planes, 1)
+
+
+INNER = (5, 6, 9, 10)
+"""The four of sixteen pixels around the position."""
+
+
+def first_of_sixteen(row: Float[Tensor, "b H W"], column: Float[Tensor, "b H W"], width: int) -> Int[Tensor, "b H W"]:
+    """For `sixteen`: the pixel left of and above the one at (row, column), which may lie one pixel off the image."""
+    return (row.to(torch.int32) + 1) * (width + 5) + column.to(torch.int32) + 1
+
+
+def sixteen(image: Float[Tensor, "b c h w"], first: Int[Tensor, "b H W"]) -> list[list[Float[Tensor, "b H W"]]]:
+    """Of each channel the 4 x 4 pixels from `first` on, row by row; off the image they are those of its edge.
+
+    Edges are copied around the image once: every pixel read is then a constant number of pixels after the first.
+    """
+    wide, shape = image.shape[-1] + 5, first.shape
+    whole = torch.stack([F.pad(plane, (2, 3, 2, 3), mode="replicate") for plane in image.unbind(1)], 1).flatten(2)
+    first = first.clamp(min=0).flatten(1).long()  # never negative, which compiled code would have to ask every time
+    offsets = [y * wide + x for y in range(4) for x in range(4)]
+    return [[plane.gather(1, first + o).view(shape) for o in offsets] for plane in whole.unbind(1)]
+
+
+def _weighted(weights: Sequence[Tensor], values: Sequence[Tensor]) -> Tensor:
+    total = weights[0] * values[0]
+    for weight, value in zip(weights[1:], values[1:], strict=True):
+        total = total + weight * value
+    return total
+
+
+def between(around: Sequence[Tensor], value: Tensor) -> Tensor:
+    """A value kept between the smallest and the largest of four."""
+    a, b, c, d = around
+    low, high = torch.minimum(torch.minimum(a, b), torch.minimum(c, d)), torch.maximum(a, b)
+    return torch.minimum(torch.maximum(value, low), torch.maximum(high, torch.maximum(c, d)))
 
 
 def _merged(

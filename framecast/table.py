@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from framecast.resample import INNER, between, first_of_sixteen, sixteen
 from framecast.weights import FOLDER
 
 LEVELS = 32
@@ -19,9 +20,6 @@ LEVELS = 32
 
 TAPS = 16
 """Pixels weighed: rows and columns -1, 0, 1, 2 from the one at or before the position."""
-
-INNER = (5, 6, 9, 10)
-"""The four of them around the position."""
 
 
 def resample(
@@ -45,31 +43,25 @@ def resample(
     y = torch.arange(grid_h, dtype=torch.float32, device=motion.device)[:, None] + motion[:, 1]
     column, level_x = _split(x, width)
     row, level_y = _split(y, height)
-    entry = (level_y * LEVELS + level_x) * TAPS
-    columns = [(column + k).clamp(0, width - 1) for k in range(-1, 3)]
-    rows = [(row + k).clamp(0, height - 1) * width for k in range(-1, 3)]
-    weights = [table.flatten()[entry + k] for k in range(TAPS)]
+    # Joined, both are made before anything is read from there, instead of anew for every weight and pixel.
+    places = torch.stack((first_of_sixteen(row, column, width), (level_y * LEVELS + level_x).to(torch.int32) * TAPS))
+    first, entry = places.clamp(min=0)
+    entries = table.flatten()
+    weights = [entries[entry + k] for k in range(TAPS)]
     results = []
-    for plane in image.unbind(1):
-        flat = plane.flatten(1)
-        taps = [flat.gather(1, (r + c).flatten(1).long()).view(column.shape) for r in rows for c in columns]
-        value = torch.zeros_like(taps[0])
-        for weight, tap in zip(weights, taps, strict=True):
+    for taps in sixteen(image, first):
+        value = weights[0] * taps[0]
+        for weight, tap in zip(weights[1:], taps[1:], strict=True):
             value = value + weight * tap
-        results.append(_between([taps[k] for k in INNER], value) if bounded else value)
+        results.append(between([taps[k] for k in INNER], value) if bounded else value)
     return torch.stack(results, 1)
-
-
-def _between(taps: list[Tensor], value: Tensor) -> Tensor:
-    a, b, c, d = taps
-    low, high = torch.minimum(torch.minimum(a, b), torch.minimum(c, d)), torch.maximum(a, b)
-    return torch.minimum(torch.maximum(value, low), torch.maximum(high, torch.maximum(c, d)))
 
 
 def _split(position: Tensor, size: int) -> tuple[Tensor, Tensor]:
     """Pixel at or before a position, and how many 32nds the position lies past it; positions outside at the edge."""
-    steps = (position.clamp(0, size - 1) * LEVELS + 0.5).to(torch.int32)
-    return steps // LEVELS, steps % LEVELS
+    steps = (position.clamp(0, size - 1) * LEVELS + 0.5).floor()
+    whole = (steps / LEVELS).floor()
+    return whole, steps - whole * LEVELS
 
 
 @cache

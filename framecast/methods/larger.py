@@ -8,6 +8,7 @@ from torch import Tensor
 
 from framecast.frame import Frame
 from framecast.resample import size_at
+from framecast.warp import disoccluded, fetch, inside
 
 
 @dataclass(frozen=True)
@@ -17,6 +18,11 @@ class Config:
     scale: float = 2.0
     """Output size divided by input size."""
 
+
+ELSEWHERE = 0.25
+"""Render pixels a frame by which two surfaces beside each other move apart."""
+NEARER = 0.05
+"""Part of its depth by which what hid a surface was nearer."""
 
 SAME, TWICE = Config(scale=1.0), Config()
 
@@ -48,6 +54,27 @@ def warn_of_stillness(before: Tensor, now: Tensor, name: str) -> None:
             f"import the clip again with the jitter it was rendered with",
             stacklevel=3,
         )
+
+
+def uncovered(
+    frame: Frame, motion: Tensor, depth_before: Tensor, motion_before: Tensor, jitter_before: Tensor
+) -> Tensor:
+    """Pixels on the screen of the frame before whose surface it did not show there: b 1 h w.
+
+    Asked of each pixel's own depth and vector: those of the nearest surface around it would say that what a thing
+    uncovers beside itself is that thing.
+
+    Args:
+        motion: from each pixel to its place in the frame before, b 2 h w; that frame's own `motion_before` likewise.
+        jitter_before: of the frame before, b 2: its samples lie elsewhere.
+    """
+    assert frame.depth is not None
+    target = motion + (frame.jitter - jitter_before)[:, :, None, None]
+    covered = disoccluded(frame.depth, depth_before, target)
+    # Beside an edge the 3 x 3 pixels of that test hold both sides: what lay in front and moves elsewhere hid it, too.
+    before = fetch(torch.cat((depth_before, motion_before), 1), target)
+    elsewhere = (before[:, 1:] - motion).abs().amax(1, keepdim=True) > ELSEWHERE
+    return (covered & inside(target)) | (elsewhere & (before[:, :1] < frame.depth * (1 - NEARER)))
 
 
 def output_size(frame: Frame, scale: float) -> tuple[int, int]:

@@ -42,6 +42,7 @@ from torch import Tensor, nn
 from framecast.color import luminance, to_display, tonemap, untonemap
 from framecast.frame import Frame
 from framecast.methods import mobfgsr_sr as sr
+from framecast.methods.larger import uncovered
 from framecast.methods.pair import Pair, advance, begin
 from framecast.resample import enlarged_motion, nearest_sample
 from framecast.table import resample, shipped_table
@@ -113,7 +114,7 @@ class MobFGSR(nn.Module):
     def start(self, frame: Frame) -> State:
         """State before the first frame: nothing but that frame."""
         pair = begin(self.prepared(frame), self.keeps)
-        return sr.begin(pair, self.samples(frame)) if self.enlarges else pair
+        return sr.begin(pair, frame, self.samples(frame)) if self.enlarges else pair
 
     def forward(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 H W"], State]:
         """A shaded frame passes through, or is enlarged, and enters the state; for others the image at `frame.time`.
@@ -133,10 +134,9 @@ class MobFGSR(nn.Module):
         pair = advance(self.prepared(frame), pair_of(state), self.keeps)
         if isinstance(state, Pair):
             return pair
-        back = path(pair.current, pair.prev).displacement(pair.prev.time - pair.current.time)
-        config = self.config
-        now = self.samples(frame)
-        return sr.advance(state, pair, now, back, self.table, config.blend, config.depth_threshold)
+        back, own = (path(f, pair.prev).displacement(pair.prev.time - pair.current.time) for f in (pair.current, frame))
+        gone = uncovered(frame, own, state.depth, state.motion, state.jitter)
+        return sr.advance(state, pair, frame, self.samples(frame), back, gone, self.table, self.config.blend)
 
     def samples(self, frame: Frame) -> sr.Samples:
         """A shaded frame on the pixels of the large image."""

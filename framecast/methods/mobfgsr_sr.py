@@ -7,13 +7,23 @@ what is decided from them stay small and are read at the sample nearest to each 
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from framecast.frame import Frame
 from framecast.methods.pair import Pair
-from framecast.resample import Box, catmull_rom, enlarge, enlarged_motion, nearest_sample, neighbourhood, size_at
+from framecast.resample import (
+    Box,
+    catmull_rom,
+    enlarge,
+    enlarged_motion,
+    nearest_sample,
+    neighbourhood,
+    size_at,
+    tent,
+)
 from framecast.table import LEVELS, resample
-from framecast.warp import disoccluded, fetch, inside, pick
+from framecast.warp import fetch, inside, pick
 
 PATIENCE = 32.0
 """Frames for which a still pixel may lie a little outside of its neighbourhood's colours before it is clamped: a cycle
@@ -43,6 +53,12 @@ class Enlarging:
     """How many samples, each counted by how near it lay, the image is made of."""
     missed: Float[Tensor, "b 1 H W"]
     """Frames in a row in which a still pixel lay outside of its neighbourhood; more where it lay far outside."""
+    depth: Float[Tensor, "b 1 h w"]
+    """Of the current frame, each pixel's own."""
+    motion: Float[Tensor, "b 2 h w"]
+    """The same."""
+    jitter: Float[Tensor, "b 2"]
+    """Of the current frame."""
 
 
 torch.export.register_dataclass(Enlarging)
@@ -60,6 +76,8 @@ class Samples:
     """What its sample nearest to each pixel counts, at most 1."""
     nearest: Int[Tensor, "b H W"]
     """Index of that sample."""
+    first: Float[Tensor, "b 3 H W"]
+    """The frame enlarged softly, for pixels of which nothing else is known."""
 
 
 def samples(color: Float[Tensor, "b 3 h w"], jitter: Float[Tensor, "b 2"], scale: float, falloff: float) -> Samples:
@@ -71,7 +89,7 @@ def samples(color: Float[Tensor, "b 3 h w"], jitter: Float[Tensor, "b 2"], scale
     image = within(neighbourhood(color), enlarge(color, size, jitter, catmull_rom).image, nearest)
     x, y = _offset(small[1], size[1], jitter[:, 0])[:, None, :], _offset(small[0], size[0], jitter[:, 1])[:, :, None]
     weight = (1 - falloff * (x * x + y * y).sqrt()).clamp(min=LEAST)
-    return Samples(color, image, weight[:, None], nearest)
+    return Samples(color, image, weight[:, None], nearest, enlarge(color, size, jitter, tent, 2).image)
 
 
 def within(box: Box, image: Float[Tensor, "b 3 H W"], nearest: Int[Tensor, "b H W"]) -> Float[Tensor, "b 3 H W"]:
@@ -85,32 +103,36 @@ def _offset(small: int, large: int, jitter: Float[Tensor, " b"]) -> Float[Tensor
     return (position + 0.5).floor() - position
 
 
-def begin(pair: Pair, first: Samples) -> Enlarging:
+def begin(pair: Pair, frame: Frame, first: Samples) -> Enlarging:
     """The state before the first frame, which knows nothing yet: the frame enters when it is shaded."""
+    assert frame.depth is not None
+    assert frame.motion is not None
     nothing = torch.zeros_like(first.weight)
-    return Enlarging(pair, first.image, first.image, nothing, nothing)
+    return Enlarging(pair, first.image, first.image, nothing, nothing, frame.depth, frame.motion, frame.jitter)
 
 
 def advance(
     state: Enlarging,
     pair: Pair,
+    frame: Frame,
     now: Samples,
     back: Float[Tensor, "b 2 h w"],
+    gone: Bool[Tensor, "b 1 h w"],
     table: Float[Tensor, "32 32 16"],
     blend: float,
-    depth_threshold: float,
 ) -> Enlarging:
     """The state after a shaded frame.
 
     Args:
-        pair: of this frame and the one before; `back` leads from the first to the second, in small pixels.
+        pair: of this frame, as it is kept, and the one before; `back` leads from the first to the second, in small
+            pixels.
+        gone: small pixels of which the frame before shows nothing.
         blend: a of Eq. 2, what a sample counts that lies on the centre of a pixel.
     """
-    frame = pair.current
     assert frame.depth is not None
-    assert pair.prev.depth is not None
+    assert frame.motion is not None
     motion = enlarged_motion(back, (now.image.shape[-2], now.image.shape[-1]), frame.jitter)
-    gone = pick(disoccluded(frame.depth, pair.prev.depth, back, depth_threshold), now.nearest)
+    gone = pick(gone, now.nearest)
     kept = ~gone & inside(motion) & ~frame.reset[:, None, None, None]
     history = resample(state.image, motion, table)
     clamped = within(neighbourhood(now.color), history, now.nearest)
@@ -122,8 +144,9 @@ def advance(
     # There is time to wait for samples close to still pixels, which makes sharper images: the others count less.
     sample = torch.where(steady, now.weight**2, now.weight)
     weight = fetch(state.weight, motion)
-    weight = torch.where(steady, weight, torch.where(kept, weight.clamp(max=1 / blend - 1), 0.0)) + sample
+    weight = torch.where(steady, weight, torch.where(kept, weight.clamp(max=1 / blend - 1), 0.0))
+    known, weight = weight > 0, weight + sample
     share = sample / weight * torch.where(steady, (REST / weight).clamp(max=1), 1.0)
-    image = history + share * (now.image - history)
+    image = torch.where(known, history + share * (now.image - history), now.first)
     before = torch.where(frame.reset[:, None, None, None], image, state.image)
-    return Enlarging(pair, before, image, weight, missed)
+    return Enlarging(pair, before, image, weight, missed, frame.depth, frame.motion, frame.jitter)

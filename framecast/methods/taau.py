@@ -30,7 +30,7 @@ from torch import Tensor, nn
 from framecast.color import tonemap, untonemap
 from framecast.frame import Frame
 from framecast.methods.filters import bounded_lanczos
-from framecast.methods.larger import SAME, TWICE, Config, output_size, require, warn_of_stillness, where
+from framecast.methods.larger import SAME, TWICE, Config, output_size, require, uncovered, warn_of_stillness, where
 from framecast.methods.mobfgsr import present
 from framecast.resample import (
     Box,
@@ -42,9 +42,10 @@ from framecast.resample import (
     nearest_sample,
     phases,
     sharp_warp,
+    tent,
     to_ycocg,
 )
-from framecast.warp import disoccluded, fetch, inside, pick, warp
+from framecast.warp import inside, pick, warp
 
 FIRST = 0.05
 """Confidence of an enlarged frame where none of its samples is near."""
@@ -56,8 +57,6 @@ STILL, MOVING = 1 / 16, 1 / 2
 """Share of the newest frame in the moments of neighbourhoods, without motion and from `STIR` on."""
 STIR = 0.1
 """Motion in display pixels a frame from which on a pixel counts as moving."""
-ELSEWHERE = 0.25
-"""Render pixels a frame by which two surfaces beside each other move apart."""
 GAMMA = 2.0
 """Half the size of the box in standard deviations."""
 GROWN = 12
@@ -142,7 +141,9 @@ class TAAU(nn.Module):
         settled = (2 - seen.still / phases(self.config.scale)).clamp(0, 1)
         known = seen.weight > 0
         share = settled * confidence / (seen.weight + confidence)
-        mixed = torch.where(known, seen.color + share * (image - seen.color), image)
+        # Where nothing is known, what a sharp kernel makes of samples with aliasing is farther from the truth.
+        first = enlarge(color, size, frame.jitter, tent, 2).image
+        mixed = torch.where(known, seen.color + share * (image - seen.color), first)
         weight = torch.where(known, seen.weight + confidence, FIRST + confidence).clamp(max=MOST)
         made = untonemap(from_ycocg(mixed).clamp(0, 1))
         return made, replace(seen, color=mixed, weight=weight)
@@ -167,12 +168,7 @@ def reprojected(frame: Frame, state: History, color: Tensor, nearest: Tensor, sc
     motion = where(frame.reset, torch.zeros_like(motion), motion)
     # From where this frame's samples lie to where the same points lie between the samples of the frame before.
     between = (frame.jitter - state.jitter)[:, :, None, None]
-    hidden = disoccluded(depth, state.depth, motion + between) & inside(motion + between)
-    hidden = hidden | frame.reset[:, None, None, None]
-    # Beside an edge the 3 x 3 pixels of that test hold both sides: what lay in front and moves elsewhere hid it, too.
-    before = fetch(torch.cat((state.depth, state.motion), 1), motion + between)
-    elsewhere = (before[:, 1:] - motion).abs().amax(1, keepdim=True) > ELSEWHERE
-    hidden = hidden | (elsewhere & (before[:, :1] < depth * 0.95))
+    hidden = uncovered(frame, motion, state.depth, state.motion, state.jitter) | frame.reset[:, None, None, None]
     moved = foreground(depth, motion)[1]
     large = pick(moved, nearest) * scale
     lost = pick(hidden.float(), nearest) + (~inside(large)).float() > 0
