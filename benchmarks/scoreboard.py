@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import claims
 import scoreboard_page as pages
 
-from framecast import __version__, bench
+from framecast import bench
 from framecast.campaign import command as evaluate
 from framecast.clip import Clip, open_clip
 from framecast.exr import whole
@@ -93,8 +93,7 @@ def main(
         spent[part.name] = timed(folder / f"{part.name}-times.json", names, part.scale, size, repeats)
     about = {part.name: read_provenance(folder / f"{part.name}.json") for part in PARTS if part.name in rows}
     board = pages.Board({part.name: part.title for part in PARTS}, rows, spent, about)
-    facts = {"framecast": __version__, **machine()}
-    written(out / "docs/results/README.md", pages.scoreboard(board, facts))
+    written(out / "docs/results/README.md", pages.scoreboard(board))
     written(out / "docs/results/claims.md", claims.page(rows, spent))
     readme = out / "README.md"
     written(readme, pages.replaced(readme.read_text(), pages.summary(board)))

@@ -34,8 +34,10 @@ Times and memory are of one frame on one CPU core, eager. What papers claim of t
 """
 
 
-def scoreboard(board: Board, facts: Mapping[str, str | int | float]) -> str:
+def scoreboard(board: Board) -> str:
     """The page of all numbers."""
+    known = next((about.machine for about in board.about.values() if about), {})
+    facts = {name: value for name, value in known.items() if name != "load"}
     lines = [HEAD, "Measured with " + ", ".join(f"{name} {value}" for name, value in facts.items()) + "."]
     for part, rows in board.rows.items():
         lines += ["", f"## {board.titles[part]}", "", *clips(board.about.get(part)), ""]

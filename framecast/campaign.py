@@ -223,7 +223,9 @@ def made_from(clips: Sequence[Clip], names: Sequence[str], mode: Mode, settings:
     methods = {name: described(method_named(name, scale_for(clips[0], mode, settings))) for name in names}
     sources = {label: source(clip) for label, clip in zip(labels(clips), clips, strict=True)}
     held = {**asdict(settings), "metrics": list(settings.metrics)}
-    return About(sources, methods, held, {"framecast": __version__, **machine(settings.device)})
+    here = machine(settings.device)
+    threads = settings.threads or here["threads"]
+    return About(sources, methods, held, {"framecast": __version__, **here, "threads": threads})
 
 
 def _names(text: str) -> tuple[str, ...]:

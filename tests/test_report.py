@@ -258,7 +258,7 @@ def test_no_rows_and_too_few_frames_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no rows to report"):
         jobs_of([])
     one = write_disc_clip(tmp_path / "one", 1)
-    with pytest.raises(ClipError, match="has 1 frames; to hide every second one"):
+    with pytest.raises(ClipError, match="has 1 frame; to hide every second one"):
         report([Row("hold", "one", "interpolate", "generated", "all", "psnr", 30.0)], {"one": one})
 
 
@@ -344,7 +344,7 @@ def test_other_files_are_refused_in_a_sentence(results: Path, capsys: pytest.Cap
         assert main(["report", str(results), *more]) == 2
         return capsys.readouterr().err
 
-    assert "has version 7; this framecast reads version 1" in said({**held, "version": 7})
+    assert "has version 7; this framecast reads version 2" in said({**held, "version": 7})
     assert "there are no rows to report" in said({**held, "rows": []})
     assert "is no results file" in said({**held, "about": {"clips": 3}})
     assert "has no rows of nobody" in said(held, "--methods", "nobody")
