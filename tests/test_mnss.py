@@ -62,7 +62,7 @@ def test_the_image_is_read_where_the_samples_were_taken() -> None:
 def test_the_last_image_lands_on_the_frame(speed: float) -> None:
     """Jitter of neither frame matters: images have none."""
     image = torch.cat((truth(3, speed), torch.full((1, 1, *SIZE), 0.7)), 1)
-    state = State(image, torch.tensor([3.0]), torch.tensor([True]))
+    state = State(image, torch.tensor([3.0]), torch.zeros(1, 2), torch.tensor([True]))
     found, known = moved(jittered(4, speed=speed), state, SIZE)
     inner = (..., slice(4, -4), slice(12, -4))
     torch.testing.assert_close(found[:, :3][inner], truth(4, speed)[inner], atol=0.01, rtol=0)

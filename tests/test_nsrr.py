@@ -25,11 +25,13 @@ from framecast.methods.nsrr import (
     positions,
     similarity,
 )
+from framecast.methods.taau import TAAU
 from framecast.nets import multiply_accumulates, parameters
 from framecast.resample import enlarge, tent
 from framecast.warp import scale_motion, warp
 
 TINY = Config(features=(4, 2), weights=4, widths=(4, 4, 8))
+STEADY = replace(TINY, accumulated=True)
 
 PHASES = ((-0.25, -0.25), (0.25, 0.25), (0.25, -0.25), (-0.25, 0.25))
 """Jitter that puts samples on the centres of display pixels, all four in turn."""
@@ -148,6 +150,15 @@ def test_samples_of_earlier_frames_land_on_the_surface_that_they_show(speed: flo
     assert error < 0.1 * lost
 
 
+def test_what_is_accumulated_is_what_taau_makes() -> None:
+    frames = [jittered(t, speed=0.4) for t in range(7)]
+    frames[4] = replace(frames[4], reset=torch.tensor([True]))
+    taau, state = TAAU(), TAAU().start(frames[0])
+    for frame, image in zip(frames, run(silent(STEADY), frames), strict=True):
+        expected, state = taau(frame, state)
+        torch.testing.assert_close(image, expected, atol=1e-5, rtol=1e-4)
+
+
 def test_the_image_of_the_fifth_frame_does_not_know_the_first() -> None:
     method = NSRR(TINY).eval()
     frames = [jittered(t) for t in range(6)]
@@ -189,7 +200,7 @@ def test_frame_and_state_stay_as_they_were() -> None:
     assert all(torch.equal(a, b) for a, b in zip(before, tree_leaves((frame, state)), strict=True))
 
 
-@pytest.mark.parametrize("config", [TINY, replace(TINY, residual=False), replace(TINY, scale=1.5)])
+@pytest.mark.parametrize("config", [TINY, replace(TINY, residual=False), replace(TINY, scale=1.5), STEADY])
 def test_every_configuration_runs_at_odd_sizes(config: Config) -> None:
     image = run(NSRR(config).eval(), [cut(jittered(t), 13, 21) for t in range(3)])[-1]
     assert image.shape == (1, 3, round(13 * config.scale), round(21 * config.scale))
@@ -222,9 +233,10 @@ def test_no_loss_on_a_perfect_image() -> None:
     assert all(float(term.detach()) == pytest.approx(0, abs=1e-4) for term in terms.values())
 
 
-def test_the_loss_is_of_the_image_that_a_call_makes() -> None:
-    method, frames = NSRR(TINY).eval(), [jittered(t) for t in range(5)]
-    target = truth(4, 3.0)
+@pytest.mark.parametrize(("config", "count"), [(TINY, 5), (STEADY, 7)])
+def test_the_loss_is_of_the_image_that_a_call_makes(config: Config, count: int) -> None:
+    method, frames = NSRR(config).eval(), [jittered(t) for t in range(count)]
+    target = truth(count - 1, 3.0)
     with torch.no_grad():
         terms = loss(method, frames, target[:, None])
         expected = difference(encoded(run(method, frames)[-1]), encoded(target))

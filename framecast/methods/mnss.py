@@ -31,6 +31,7 @@ from torch import Tensor, nn
 
 from framecast.color import decode_srgb, encode_srgb, tonemap
 from framecast.frame import Frame
+from framecast.methods.larger import require, warn_of_stillness
 from framecast.methods.nsrr import WHITE, decoded, difference, encoded, nearness, place, positions
 from framecast.methods.reproject import chosen, steps
 from framecast.recipe import Recipe
@@ -63,6 +64,7 @@ class State:
     image: Float[Tensor, "b 4 H W"]
     """Tone-mapped colour, and depth as `nearness` encodes it."""
     time: Float[Tensor, " b"]
+    jitter: Float[Tensor, "b 2"]
     known: Bool[Tensor, " b"]
     """False before the first frame."""
 
@@ -127,13 +129,20 @@ class MNSS(nn.Module):
 
     def start(self, frame: Frame) -> State:
         """The state before the first frame, which is `frame`: nothing is known."""
+        require(frame, "mnss", self.needs)
         assert frame.depth is not None
         size = size_at((frame.depth.shape[-2], frame.depth.shape[-1]), self.config.scale)
         image = frame.depth.new_zeros(frame.depth.shape[0], 4, *size)
-        return State(image, frame.time, torch.zeros_like(frame.reset))
+        return State(image, frame.time, frame.jitter, torch.zeros_like(frame.reset))
 
     def forward(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 H W"], State]:
-        """The frame at display size, which is the next state."""
+        """The frame at display size, which is the next state.
+
+        Raises:
+            ValueError: the frame was not shaded, or its buffers are of different sizes.
+        """
+        require(frame, "mnss", self.needs)
+        warn_of_stillness(torch.where(state.known[:, None], state.jitter, 1.0), frame.jitter, "mnss")
         made = self.make(frame, state)
         return decoded(made.image), kept(made, frame)
 
@@ -162,7 +171,7 @@ class MNSS(nn.Module):
 def kept(made: Made, frame: Frame) -> State:
     """What the next frame sees of an image."""
     image = decode_srgb(made.image.clamp(0, 1)).clamp(max=WHITE)
-    return State(torch.cat((image, made.depth), 1), frame.time, torch.ones_like(frame.reset))
+    return State(torch.cat((image, made.depth), 1), frame.time, frame.jitter, torch.ones_like(frame.reset))
 
 
 def moved(

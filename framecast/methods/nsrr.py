@@ -13,12 +13,13 @@ Differs: Samples lie where the renderer took them: the jitter of every frame is 
          Colour is x / (1 + max) under the sRGB curve; the paper's images are not HDR, reimplementations use YCbCr.
          Depth enters in [1/2, 1], so that a sample is never mistaken for nothing.
          The network adds to an image that it sees (`Config.residual`): the mean of the samples of all frames under the
-         same weights. The paper's network makes the image from nothing.
+         same weights, or what TAAU makes (`Config.accumulated`), which knows more than five frames. The paper's network
+         makes the image from nothing.
          Motion is accumulated surface by surface, as in ExtraNet. Features of earlier frames are kept, not made again.
          The loss is 1 - SSIM + 5 L1, without the differences in VGG features, whose weights the package does not have.
 Needs:   color, depth, motion
 Modes:   pass
-State:   samples, features and accumulated motion of the last four frames
+State:   samples, features and accumulated motion of the last four frames; what TAAU keeps where it is asked
 """
 
 from collections.abc import Sequence
@@ -31,7 +32,10 @@ from torch import Tensor, nn
 
 from framecast.color import decode_srgb, encode_srgb, tonemap, untonemap
 from framecast.frame import SKY, Frame
+from framecast.methods import larger
+from framecast.methods.larger import require, warn_of_stillness
 from framecast.methods.reproject import chosen, steps
+from framecast.methods.taau import TAAU, History
 from framecast.nets import padded
 from framecast.recipe import Recipe
 from framecast.resample import enlarge, nearest_sample, size_at, tent
@@ -61,10 +65,15 @@ class Config:
     """Channels of the U-Net: outside and at half size, at its full-size joints, and at a quarter of the size."""
     residual: bool = True
     """Show the network the weighted mean of all samples and add its output to it; without it the published layers."""
+    accumulated: bool = False
+    """Instead of that mean, the image of TAAU."""
 
 
 FAST = Config(weights=16, widths=(32, 16, 64))
 """Half the channels at display size, as the "fast" variant of public implementations has them in the U-Net."""
+
+STEADY = replace(FAST, accumulated=True)
+"""The same, adding to the image of TAAU."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +99,8 @@ class State:
     """The last four frames, newest first; unknown ones where there were fewer since the last reset."""
 
     past: tuple[Past, ...]
+    history: History | None = None
+    """What TAAU knows, where the network adds to its image."""
 
 
 for _kind in (Past, State):
@@ -137,13 +148,14 @@ class NSRR(nn.Module):
     needs_generated: tuple[str, ...] = ()
     modes: tuple[str, ...] = ("pass",)
     scales: tuple[float, ...] = (2.0,)
-    parts: tuple[str, ...] = ("look", "moved", "predict")
-    history: int | None = PAST + 1
+    parts: tuple[str, ...] = ("look", "moved", "accumulate", "predict")
     step_motion: bool = False
 
     def __init__(self, config: Config = Config()) -> None:
         super().__init__()
         self.config = config
+        self.history = None if config.accumulated else PAST + 1
+        self.taau = TAAU(larger.Config(config.scale)) if config.accumulated else None
         inner, outer = config.features
         self.extract = nn.ModuleList(
             nn.Sequential(layer(4, inner), layer(inner, inner), layer(inner, outer)) for _ in ("current", "past")
@@ -163,6 +175,7 @@ class NSRR(nn.Module):
 
     def start(self, frame: Frame) -> State:
         """The state before the first frame, which is `frame`: nothing is known."""
+        require(frame, "nsrr", self.needs)
         assert frame.depth is not None
         b, _, h, w = frame.depth.shape
         color, shown, features, depth, still = (
@@ -170,12 +183,30 @@ class NSRR(nn.Module):
         )
         known = torch.zeros_like(frame.reset)
         nothing = Past(color, shown, features, depth, still, frame.time, frame.jitter, known)
-        return State((nothing,) * PAST)
+        return State((nothing,) * PAST, None if self.taau is None else self.taau.start(frame))
 
     def forward(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 H W"], State]:
-        """The frame at display size, and the state with it as the newest of the past."""
+        """The frame at display size, and the state with it as the newest of the past.
+
+        Raises:
+            ValueError: the frame was not shaded, or its buffers are of different sizes.
+        """
+        require(frame, "nsrr", self.needs)
+        newest = state.past[0]
+        warn_of_stillness(torch.where(newest.known[:, None], newest.jitter, 1.0), frame.jitter, "nsrr")
         now, past = self.look(frame), self.moved(frame, state)
-        return decoded(self.predict(now, past)), State((now, *past[:-1]))
+        base, history = self.accumulate(frame, state.history)
+        return decoded(self.predict(now, past, base)), State((now, *past[:-1]), history)
+
+    def accumulate(
+        self, frame: Frame, history: History | None
+    ) -> tuple[Float[Tensor, "b 3 H W"] | None, History | None]:
+        """The image of TAAU, tone-mapped under the sRGB curve, and what it knows then; None where not asked."""
+        if self.taau is None or history is None:
+            return None, None
+        with torch.no_grad(), torch.autocast(frame.time.device.type, enabled=False):
+            image, history = self.taau.accumulate(frame, history)
+        return encoded(image), history
 
     def look(self, frame: Frame) -> Past:
         """The frame as it will be remembered."""
@@ -202,8 +233,10 @@ class NSRR(nn.Module):
             for past, m in zip(state.past, reached, strict=True)
         )
 
-    def predict(self, now: Past, past: tuple[Past, ...]) -> Float[Tensor, "b 3 H W"]:
-        """The image, tone-mapped under the sRGB curve."""
+    def predict(
+        self, now: Past, past: tuple[Past, ...], base: Float[Tensor, "b 3 H W"] | None = None
+    ) -> Float[Tensor, "b 3 H W"]:
+        """The image, tone-mapped under the sRGB curve; the network adds to `base`, or to the mean of the samples."""
         small = (now.depth.shape[-2], now.depth.shape[-1])
         size = size_at(small, self.config.scale)
         features = self.extract[0](now.shown).float()
@@ -220,9 +253,10 @@ class NSRR(nn.Module):
         x = torch.cat([values[:, 3:] * weight for values, weight in weighted], 1)
         if not self.config.residual:
             return self.reconstructed(x)
-        base = enlarge(now.color, size, now.jitter, tent, 2).image
-        mean = encode_srgb(average([(values[:, :3], weight) for values, weight in weighted], base))
-        return mean + self.reconstructed(torch.cat((x, mean), 1))
+        if base is None:
+            alone = enlarge(now.color, size, now.jitter, tent, 2).image
+            base = encode_srgb(average([(values[:, :3], weight) for values, weight in weighted], alone))
+        return base + self.reconstructed(torch.cat((x, base), 1))
 
     def reconstructed(self, x: Float[Tensor, "b c H W"]) -> Float[Tensor, "b 3 H W"]:
         """What the U-Net makes of its input, at any size."""
@@ -289,10 +323,16 @@ def place(
 
 def loss(method: NSRR, frames: Sequence[Frame], targets: Float[Tensor, "b n 3 H W"]) -> dict[str, Float[Tensor, ""]]:
     """The two terms on the last frame, tone-mapped under the sRGB curve."""
-    state = State((method.look(frames[0]),))
-    for frame in frames[1:-1]:
-        state = State((method.look(frame), *method.moved(frame, state)))
-    image = method.predict(method.look(frames[-1]), method.moved(frames[-1], state))
+    history = method.start(frames[0]).history
+    first = len(frames) - PAST - 1  # frames before it are only for the image that the network adds to
+    for frame in frames[: first + 1]:
+        _, history = method.accumulate(frame, history)
+    state = State((method.look(frames[first]),), history)
+    for frame in frames[first + 1 : -1]:
+        _, history = method.accumulate(frame, state.history)
+        state = State((method.look(frame), *method.moved(frame, state)), history)
+    base, _ = method.accumulate(frames[-1], state.history)
+    image = method.predict(method.look(frames[-1]), method.moved(frames[-1], state), base)
     return difference(image, encoded(targets[:, -1]))
 
 
@@ -313,3 +353,6 @@ def similarity(image: Float[Tensor, "b 3 H W"], target: Float[Tensor, "b 3 H W"]
 
 
 recipe = Recipe(loss=loss, mode="pass", shaded=PAST + 1, crop=(64, 64), batch=2, steps=4000, rate=5e-4, warmup=100)
+
+steady_recipe = replace(recipe, shaded=2 * PAST + 2)
+"""For `STEADY`: the first five frames are TAAU's alone."""
