@@ -26,7 +26,7 @@ from framecast.methods.extranet import (
 )
 from framecast.methods.reproject import (
     PLACES,
-    fill_everywhere,
+    _filled_at,
     filled,
     geometry,
     light,
@@ -361,7 +361,8 @@ def test_holes_are_filled_like_a_brute_force_twin() -> None:
     base = torch.where(seen[2][1], seen[2][0], torch.where(seen[1][1], seen[1][0], seen[0][0]))
     torch.testing.assert_close(found * known, base * known)
     surfaces = torch.cat((now.normal / 0.35, now.depth.log() / 0.08, finish / 0.2), 1)
-    torch.testing.assert_close(fill_everywhere(base, known, surfaces, fallback), found, rtol=1e-4, atol=1e-5)
+    everywhere = _filled_at(torch.arange(known.numel()), base, known, surfaces, fallback)
+    torch.testing.assert_close(everywhere, found, rtol=1e-4, atol=1e-5)
     holes = (~known)[0, 0].nonzero()
     assert len(holes) > 50
     for row, column in holes[::7].tolist():

@@ -19,6 +19,7 @@ from framecast.methods.bsr import BSR
 from framecast.methods.extranet import ExtraNet
 from framecast.methods.filters import Bilinear, Lanczos
 from framecast.methods.fsr2 import FSR2
+from framecast.methods.guided import GuidedWarp
 from framecast.methods.hold import Hold
 from framecast.methods.mnss import MNSS
 from framecast.methods.mobfgsr import Config as MobFGSRConfig
@@ -39,6 +40,7 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "bsr": BSR,
     "mobfgsr": MobFGSR,
     "mobfgsr-quadratic": lambda: MobFGSR(MobFGSRConfig(motion="quadratic")),
+    "extrass-warp": GuidedWarp,
     "bilinear": Bilinear,
     "lanczos": Lanczos,
     "taa": TAA,
