@@ -62,8 +62,8 @@ def clips(about: About | None) -> list[str]:
 
 
 def roles(rows: Sequence[Row]) -> list[Role]:
-    """The roles in which methods make something of their own."""
-    changed = any(row.role == "shaded" and row.metric == "psnr" and row.value < 100 for row in rows)
+    """The roles in which methods make something of their own: without enlarging, shaded frames only where all are."""
+    changed = rows[0].mode == "pass" or rows[0].scale != 1
     generated = any(row.role == "generated" for row in rows)
     return [role for role, there in (("generated", generated), ("shaded", changed)) if there]  # type: ignore[misc]
 

@@ -119,8 +119,9 @@ class Footage:
 
         References of a multiple of the size are averaged. None where the clip has nothing of that size.
         """
-        candidates = [self.frame(index).color, None if self.clip.scale is None else self.reference(index)]
-        for one in candidates if generated else reversed(candidates):
+        sources = [lambda: self.frame(index).color, lambda: None if self.clip.scale is None else self.reference(index)]
+        for source in sources if generated else reversed(sources):
+            one = source()
             if one is not None and (found := shrunk(one, image)) is not None:
                 return found.to(image.device)
         return None

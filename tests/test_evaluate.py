@@ -310,6 +310,8 @@ def test_tables_show_each_clip_and_the_mean_with_the_best_in_bold() -> None:
     assert "a: shaded frames, interpolate" in tables(changed)
     after = [replace(r, metric="warped", value=0.1) if r.role == "shaded" else r for r in ROWS]
     assert "a: shaded frames, interpolate" not in tables(after)  # only frames around them are wrong
+    alike = [*changed, *(replace(r, method="blend") for r in changed if r.role == "shaded")]
+    assert "a: shaded frames, interpolate" not in tables(alike)  # that of the clip, whatever the method
 
 
 def test_command_prints_tables_and_writes_the_rows(
