@@ -1,11 +1,12 @@
 """How often the doctor is right: healthy clips, each corruption of their buffers alone, and random pairs of them.
 
-    python benchmarks/doctor.py CLIP... --out doctor.jsonl [--some 3] [--pairs 12] [--only NAME,...]
+    python benchmarks/doctor.py CLIP... --out doctor.jsonl [--pairs 20] [--only NAME,...] [--again]
 
 Each clip is copied with one buffer stored in another convention (or two) and examined as if nothing were known.
 *right*: every corruption is named and nothing else is. *undecidable*: the doctor says that this cannot be told.
-*wrong*: anything else. Results are appended one line a run; the same call goes on where it was. `--table FILE` prints
-the table of docs/results/doctor.md.
+*wrong*: anything else. Results are appended one line a run, with a fingerprint of the doctor's code; the same call goes
+on where it was, with `--again` repeating rows of older code. Of each experiment the last row counts. `--table FILE`
+prints the tables of docs/results/doctor.md.
 """
 
 import argparse
@@ -15,14 +16,17 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 
-from framecast.clip import Clip, Layers, Record, finish, write_frame
+from framecast import doctor, exr
+from framecast.clip import ON_DISK, Clip, Layers, Record, finish
 from framecast.color import to_display
 from framecast.doctor import examine
 from framecast.exr import ClipError
@@ -150,7 +154,10 @@ def flicker(c: np.ndarray, _: Record, i: int) -> np.ndarray:
 def spliced(frames: Frames) -> Frames:
     """The second half shows another place: the picture turned by half a turn, its vectors with it."""
     half = len(frames) // 2
-    return frames[:half] + [(replace(r, view=None, projection=None), _turned(a)) for r, a in frames[half:]]
+    return frames[:half] + [
+        (replace(r, view=None, projection=None, jitter=(-r.jitter[0], -r.jitter[1])), _turned(a))
+        for r, a in frames[half:]
+    ]
 
 
 def _turned(a: Layers) -> Layers:
@@ -236,14 +243,23 @@ CORRUPTIONS: dict[str, Corruption] = {
 }
 
 
-def frames_of(clip: Clip) -> Frames:
+@cache
+def frames_of(path: Path) -> Frames:
+    clip = open_any(path)
     return [(record, clip.load(record)) for record in clip.records]
 
 
 def write(folder: Path, frames: Frames, span: float | None, provenance: dict[str, object]) -> None:
+    """The frames as a clip, without compression, which would take longer than the examination."""
     for record, layers in frames:
-        kept = {k: v for k, v in layers.items() if k in ("color", "depth", "motion", "albedo", "normal", "object")}
-        write_frame(folder, record, kept, half=frozenset({"color"}))
+        channels: dict[str, np.ndarray] = {}
+        for name in ("color", "depth", "motion", "albedo", "normal", "object"):
+            kind = {"object": np.uint32, "color": np.float16}.get(name, np.float32)
+            for plane, channel in zip(layers.get(name, ()), ON_DISK[name], strict=False):
+                limited = np.clip(plane, -65504, 65504) if kind is np.float16 else plane
+                channels[channel] = limited.astype(kind)
+        about = {"framecast": json.dumps(asdict(record))}
+        exr.write(folder / "frames" / f"{record.number:04d}.exr", channels, attributes=about, compression="none")
     finish(folder, fps=24, span=span, provenance=provenance)
 
 
@@ -278,7 +294,7 @@ def judged(codes: Counter[str], unknown: set[str], applied: Sequence[Corruption]
 
 def run(clip: Clip, names: Sequence[str]) -> dict[str, object] | None:
     """One folder, examined; None where the corruptions change nothing."""
-    plain = frames_of(clip)
+    plain = frames_of(clip.path)
     frames = plain
     for name in names:
         changed = CORRUPTIONS[name].change(frames)
@@ -293,7 +309,13 @@ def run(clip: Clip, names: Sequence[str]) -> dict[str, object] | None:
         try:
             report = examine(Path(folder) / "clip").report
         except ClipError as error:
-            return {"clip": clip.path.name, "names": list(names), "result": "wrong", "error": str(error)}
+            return {
+                "clip": clip.path.name,
+                "names": list(names),
+                "result": "wrong",
+                "error": str(error),
+                "code": fingerprint(),
+            }
         seconds = time.process_time() - began
     codes = Counter(f.code for f in report.findings if f.state == "fix")
     noted = {f.code for f in report.findings if f.state == "note"}
@@ -303,26 +325,30 @@ def run(clip: Clip, names: Sequence[str]) -> dict[str, object] | None:
     result = judged(codes, unknown, applied)
     return {
         "clip": clip.path.name, "names": list(names), "result": result, "fix": sorted(codes),
-        "unknown": sorted(unknown), "verdict": report.verdict, "seconds": round(seconds, 1),
+        "unknown": sorted(unknown), "verdict": report.verdict, "seconds": round(seconds, 1), "code": fingerprint(),
     }  # fmt: skip
 
 
-def plan(clips: Sequence[Clip], some: int, pairs: int) -> list[tuple[Clip, tuple[str, ...]]]:
-    """Healthy, alone (each on `some` clips in turn), and some pairs of different topics; the same on every run."""
+@cache
+def fingerprint() -> str:
+    """Changes with the doctor's code, the importers' and this benchmark's corruptions."""
+    folder = Path(doctor.__file__).parent
+    files = [*sorted(folder.glob("*.py")), *sorted((folder.parent / "importers").glob("*.py"))]
+    return sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:8]
+
+
+def plan(clips: Sequence[Clip], pairs: int) -> list[tuple[Clip, tuple[str, ...]]]:
+    """Healthy, each alone, and `pairs` random pairs of different topics a clip; clips in turn, the same every time."""
     todo: list[tuple[Clip, tuple[str, ...]]] = [(clip, ()) for clip in clips]
-    for turn in range(min(some, len(clips))):
-        for place, name in enumerate(CORRUPTIONS):
-            able = [clip for clip in clips if possible(clip, (name,))]
-            todo += (
-                [(able[(place + turn * max(len(able) // some, 1)) % len(able)], (name,))] if turn < len(able) else []
-            )
-    for clip in clips:
-        chance = random.Random(clip.path.name)
-        every = [
-            (a, b) for a in CORRUPTIONS for b in CORRUPTIONS if a < b and CORRUPTIONS[a].topic != CORRUPTIONS[b].topic
-        ]
-        todo += [(clip, tuple(sorted(pair, key=order))) for pair in chance.sample(every, pairs)]
-    return todo
+    for turn in range(len(clips)):
+        todo += [(clips[(place + turn) % len(clips)], (name,)) for place, name in enumerate(CORRUPTIONS)]
+    every = [(a, b) for a in CORRUPTIONS for b in CORRUPTIONS if a < b and CORRUPTIONS[a].topic != CORRUPTIONS[b].topic]
+    chances = {clip.path.name: random.Random(clip.path.name) for clip in clips}
+    for _ in range(pairs):
+        for clip in clips:
+            able = [pair for pair in every if possible(clip, pair)]
+            todo.append((clip, tuple(sorted(chances[clip.path.name].choice(able), key=order))))
+    return [(clip, names) for clip, names in todo if possible(clip, names)]
 
 
 LATE = ("camera", "edges", "jitter", "offset", "last", "motion", "grain", "frames", "size")
@@ -345,25 +371,23 @@ def possible(clip: Clip, names: Sequence[str]) -> bool:
 
 
 def table(path: Path) -> str:
-    """The results as Markdown."""
-    rows = [json.loads(line) for line in path.read_text().splitlines()]
-    rows = [row for row in rows if row.get("result")]
-    out = ["| corruption | right | undecidable | wrong | wrong on |", "|---|---|---|---|---|"]
-    groups: dict[str, list[dict[str, object]]] = {}
-    for row in rows:
-        names = row["names"]
-        groups.setdefault("healthy" if not names else names[0] if len(names) == 1 else "pairs", []).append(row)
-    groups["all alone"] = [row for row in rows if len(row["names"]) == 1]
-    for label in ["healthy", *CORRUPTIONS, "all alone", "pairs"]:
-        if label in groups:
-            count = Counter(str(row["result"]) for row in groups[label])
-            bad = [
-                f"{row['clip']} ({' + '.join(row['names'])})" if label == "pairs" else row["clip"]
-                for row in groups[label]
-                if row["result"] == "wrong"
-            ]  # type: ignore[arg-type]
-            shown = "" if label == "all alone" else ", ".join(map(str, bad))
-            out.append(f"| {label} | {count['right']} | {count['undecidable']} | {count['wrong']} | {shown} |")
+    """The results as Markdown: each corruption alone, the sums, and every pair that went wrong."""
+    rows = [row for row in rows_of(path).values() if row.get("result")]
+    count = lambda held: Counter(str(row["result"]) for row in held)  # noqa: E731
+    by_length = [[row for row in rows if len(row["names"]) == n] for n in range(3)]  # type: ignore[arg-type]
+    out = ["| | right | undecidable | wrong | right of all | of older code |", "|---|---|---|---|---|---|"]
+    for label, held in zip(("healthy", "alone", "in pairs"), by_length, strict=True):
+        c, old = count(held), sum(row.get("code") != fingerprint() for row in held)
+        share = f"{c['right'] / max(len(held), 1):.1%}"
+        out.append(f"| {label} | {c['right']} | {c['undecidable']} | {c['wrong']} | {share} | {old} |")
+    out += ["", "| corruption | right | undecidable | wrong | not right on |", "|---|---|---|---|---|"]
+    for name in CORRUPTIONS:
+        held = [row for row in by_length[1] if row["names"] == [name]]
+        c, bad = count(held), [f"{r['clip']} ({r['result']})" for r in held if r["result"] != "right"]
+        out.append(f"| {name} | {c['right']} | {c['undecidable']} | {c['wrong']} | {', '.join(bad)} |")
+    wrong = [row for row in by_length[2] if row["result"] == "wrong"]
+    out += ["", "| pairs that went wrong | clip | to fix, as the doctor says |", "|---|---|---|"]
+    out += [f"| {' + '.join(r['names'])} | {r['clip']} | {', '.join(r.get('fix', ()))} |" for r in wrong]  # type: ignore
     return "\n".join(out)
 
 
@@ -371,33 +395,32 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("clips", nargs="*", type=Path)
     parser.add_argument("--out", type=Path, default=Path("doctor.jsonl"))
-    parser.add_argument("--some", type=int, default=100)
-    parser.add_argument("--pairs", type=int, default=12)
-    parser.add_argument("--only", default="")
+    parser.add_argument("--pairs", type=int, default=20, help="for each clip")
+    parser.add_argument("--only", default="", help="corruptions, with commas between")
+    parser.add_argument("--again", action="store_true", help="repeat rows of older code")
     parser.add_argument("--table", type=Path)
     asked = parser.parse_args()
     if asked.table:
         print(table(asked.table))
         return
     torch.set_num_threads(1)
-    clips = [open_any(path) for path in asked.clips]
-    done = (
-        {(r["clip"], tuple(r["names"])) for r in map(json.loads, asked.out.read_text().splitlines())}
-        if asked.out.is_file()
-        else set()
-    )
+    done = {key for key, row in rows_of(asked.out).items() if not asked.again or row.get("code") == fingerprint()}
     wanted = set(filter(None, asked.only.split(",")))
-    for clip, names in plan(clips, asked.some, asked.pairs):
-        if (
-            (clip.path.name, names) in done
-            or not possible(clip, names)
-            or (wanted and not wanted & {*names, "+".join(names)})
-        ):
+    for clip, names in plan([open_any(path) for path in asked.clips], asked.pairs):
+        if (clip.path.name, *names) in done or (wanted and not wanted & {*names, "+".join(names)}):
             continue
-        row = run(clip, names) or {"clip": clip.path.name, "names": list(names), "result": ""}
+        changed_nothing = {"clip": clip.path.name, "names": list(names), "result": "", "code": fingerprint()}
+        done.add((clip.path.name, *names))
+        row = json.dumps(run(clip, names) or changed_nothing)
         with asked.out.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        print(json.dumps(row), flush=True)
+            file.write(row + "\n")
+        print(row, flush=True)
+
+
+def rows_of(path: Path) -> dict[tuple[str, ...], dict[str, object]]:
+    """The last row of each experiment by clip and corruptions."""
+    rows = map(json.loads, path.read_text().splitlines()) if path.is_file() else ()
+    return {(row["clip"], *row["names"]): row for row in rows}
 
 
 if __name__ == "__main__":

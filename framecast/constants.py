@@ -99,6 +99,8 @@ def _preparation(buffers: Buffers) -> tuple[Constant, ...]:
         steps.append(f"subtract {motion.bias[0]:.6g}, {motion.bias[1]:.6g}")
     if motion.packing == "unreal_sqrt":
         steps.append("replace w by w |w| / 2")
+    if "next" in motion.direction:
+        steps.append("write vectors that lead to the previous frame: these lead to the next one")
     if not motion.camera or motion.unwritten is not None:
         steps.append("add the camera's motion where none was written")
     if not steps:

@@ -60,6 +60,8 @@ class Header:
     size: tuple[int, int]
     names: tuple[str, ...]
     attributes: dict[str, str]
+    reduced: dict[str, tuple[int, int]]
+    """Height and width of channels of a lower resolution, see `read`."""
 
 
 @contextlib.contextmanager
@@ -148,7 +150,13 @@ def header(path: Path) -> Header:
     parts, parted = _described(path)
     names = tuple(name for part in parted for name in part)
     text = {k: v for part in parts for k, v in part.header.items() if isinstance(v, str)}
-    return Header(_window(parts[0].header["displayWindow"]), names, text)
+    reduced = {
+        name: _window(part.header["dataWindow"])
+        for part, plain in zip(parts, parted, strict=True)
+        if _is_reduced(part, parts)
+        for name in plain
+    }
+    return Header(_window(parts[0].header["displayWindow"]), names, text, reduced)
 
 
 def size(path: Path) -> tuple[int, int]:
@@ -161,10 +169,27 @@ def attributes(path: Path) -> dict[str, str]:
     return header(path).attributes
 
 
-def read(path: Path) -> Exr:
+def _is_reduced(part: Any, parts: Sequence[Any]) -> bool:
+    """Whether a part holds the picture of another one at a lower resolution.
+
+    All parts of a file share one display window, so that such a part can be told by its data window alone: from the
+    same corner, smaller by the same factor both ways, beside a part that fills the window.
+    """
+    (left, top), _ = part.header["displayWindow"]
+    if tuple(part.header["dataWindow"][0]) != (left, top):
+        return False
+    (h, w), (height, width) = (_window(part.header[window]) for window in ("dataWindow", "displayWindow"))
+    alike = abs(h * width - w * height) <= max(height, width) and h < 0.9 * height
+    return alike and any(_window(other.header["dataWindow"]) == (height, width) for other in parts)
+
+
+def read(path: Path, *, mixed: bool = False) -> Exr:
     """Every channel of every part, on the display window (pixels outside the data window are 0).
 
     Where two parts share a channel name, the names of those parts stand before all of theirs. Deep images are refused.
+
+    Args:
+        mixed: parts of a lower resolution (the same corner, the same shape, another part full) keep their own size.
 
     Raises:
         FileNotFoundError: no such file. ClipError: truncated, damaged, deep or subsampled.
@@ -176,25 +201,14 @@ def read(path: Path) -> Exr:
         for name, channel in zip(names, part.channels.values(), strict=False):
             if channel.pixels is None:
                 raise ClipError(f"{path} has no pixels in {name} (truncated or damaged); render or copy it again")
-            channels[name] = _on_display_window(path, part.header, name, channel)
+            own = mixed and _is_reduced(part, parts)
+            channels[name] = channel.pixels if own else _on_display_window(path, part.header, name, channel)
     if not channels:
         raise ClipError(f"{path} is truncated or damaged; render or copy it again")
-    if len({pixels.shape for pixels in channels.values()}) > 1:
+    if not mixed and len({pixels.shape for pixels in channels.values()}) > 1:
         raise ClipError(f"{path} holds parts of different sizes; write them to separate files")
     text = {k: v for part in parts for k, v in part.header.items() if isinstance(v, str)}
     return Exr(channels, text)
-
-
-def _refuse_hollow(path: Path, parts: list[Any]) -> None:
-    """Headers that promise far more pixels than the file can hold are refused before memory is asked for."""
-    promised = 0
-    for part in parts:
-        for window in ("dataWindow", "displayWindow"):
-            low, high = part.header[window]
-            width, height = int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
-            promised += 2 * width * height * len(part.header["channels"])
-    if promised > 2**30 and promised > 4000 * path.stat().st_size:
-        raise ClipError(f"{path} promises {promised} bytes of pixels, which it cannot hold; render or copy it again")
 
 
 def _on_display_window(path: Path, header: Mapping[str, Any], name: str, channel: Any) -> np.ndarray:

@@ -25,6 +25,7 @@ from framecast.doctor.source import open_source
 from framecast.doctor.surface import normals_of, tone_of
 from framecast.doctor.take import Take, load
 from framecast.doctor.timeline import exposure_of, steps_of
+from framecast.importers import open_any
 from framecast.importers.decode import decode_motion
 from framecast.importers.encode import encode_depth, encode_motion
 from framecast.importers.folder import open_folder
@@ -239,6 +240,34 @@ def test_normals_in_view_space_turned_and_encoded(take: Take) -> None:
     assert fixes(findings) == {"normal.space"}
 
 
+def test_normals_without_cameras_are_only_wrong_where_an_axis_is_mirrored(take: Take) -> None:
+    about = Normal(files=("{frame}.exr",), channels=("X", "Y", "Z"))
+    alone = replace(take, recorded=frozenset())
+    depths = {t: take.stored[t]["depth"][0] for t in take.full("normal")}
+    tangent = tangents_of(take)[0]
+
+    def told(turn: np.ndarray, axes: str = "opengl", *, view: bool = False) -> tuple[list[str], Normal | None]:
+        stored = []
+        for planes, record in zip(take.stored, take.records, strict=True):
+            turned = turn @ np.asarray(record.view)[:3, :3] if view else turn
+            normal = {k: np.einsum("ij,jhw->ihw", turned, n) for k, n in planes.items() if k == "normal"}
+            stored.append({**planes, **normal})
+        findings, found = tell_normals(normals_of(replace(alone, stored=stored), depths, tangent, axes), about)
+        return [f"{f.state} {f.code}" for f in findings], found
+
+    c, s = np.cos(0.9), np.sin(0.9)
+    away, mirror = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]), np.diag([1.0, 1, -1])
+    for turn, axes in ((away, "opengl"), (np.diag([-1.0, 1, -1]), "opengl"), (mirror, "unity")):
+        assert told(turn, axes)[0] == ["fine normal"]
+    for view in (True, False):  # the camera is hardly turned, so that world and view are nearly the same
+        assert told(np.eye(3), view=view)[0] == ["unknown normal.open"]
+    assert told(mirror @ away)[0] == ["fix normal.sign"]
+    codes, found = told(np.diag([1.0, -1, 1]))
+    assert codes == ["fix normal.sign"]
+    assert found is not None
+    assert found.sign == (1.0, -1.0, 1.0)
+
+
 def test_display_colour_is_told_by_albedo_edges(take: Take) -> None:
     about = Color(files=("{frame}.exr",), channels=("R", "G", "B"))
     assert fixes(tell_color(tone_of(take), about, 32)[0]) == set()
@@ -320,5 +349,12 @@ def test_a_healthy_clip_ends_with_0(tmp_path: Path, capsys) -> None:
 
 def test_a_turned_axis_ends_with_1_and_says_so_in_words(tmp_path: Path, capsys) -> None:
     flipped = changed(frames(), "motion", lambda v: v * np.array([1, -1])[:, None, None])
-    assert main(["doctor", str(write(tmp_path / "clip", flipped)), "-o", str(tmp_path / "out")]) == 1
+    folder, out = write(tmp_path / "clip", flipped), tmp_path / "out"
+    assert main(["doctor", str(folder), "-o", str(out)]) == 1
     assert "vertical motion is upside down" in capsys.readouterr().out
+    clip = open_any(folder, settings=out / "framecast-import.json")
+    for index, (record, layers) in enumerate(frames()):
+        found = clip.records[index]
+        np.testing.assert_allclose(clip[index].motion[0], layers["motion"], atol=1e-4)
+        np.testing.assert_allclose(found.view, record.view, atol=1e-6)
+        assert found.jitter == pytest.approx(record.jitter)

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from wall import FOV, H, W, record, wall, write_wall
 
 from framecast import exr
@@ -201,6 +203,35 @@ def test_rgbe_of_black_and_of_one_brightness() -> None:
     flat, (low, high) = rgbe(np.full((3, 2, 2), 4.0, np.float32))
     found = flat[:3] / 255 * np.exp((flat[3].astype(float) + 1) / 256 * (high - low) + low)
     np.testing.assert_allclose(found, 4, rtol=1e-5)
+
+
+PRECISION: dict[str, dict[str, float]] = {
+    "extranet": {"color": 1e-3, "depth": 1e-3, "motion": 1e-3, "albedo": 1e-3, "roughness": 1e-3, "object": 0},
+    "mobfgsr": {"color": 1e-2, "motion": 1e-4},
+    "arm-nss": {"color": 1e-3, "depth": 1e-3, "motion": 2e-3},
+}
+"""Of each buffer, relative and absolute, in layouts that an importer reads."""
+
+
+@settings(max_examples=9, deadline=None)
+@given(st.sampled_from(sorted(PRECISION)), st.integers(0, 2**31), st.sampled_from((0.05, 1.0, 8.0)))
+def test_any_numbers_come_back_within_the_precision_of_the_layout(
+    tmp_path_factory: pytest.TempPathFactory, to: str, seed: int, reach: float
+) -> None:
+    rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("any")
+    bright = 1.0 if to == "mobfgsr" else 60.0 * reach  # it keeps 8 bits
+    for time in range(3):
+        layers = wall(time)
+        layers["color"] = rng.uniform(0, bright, (3, H, W)).astype(np.float32)
+        layers["depth"] = rng.uniform(0.2, 40 * reach, (1, H, W)).astype(np.float32)
+        layers["motion"] = rng.uniform(-reach, reach, (2, H, W)).astype(np.float32)
+        layers["albedo"], layers["roughness"] = (rng.random((n, H, W), np.float32) for n in (3, 1))
+        layers["object"] = rng.integers(0, 255, (1, H, W)).astype(np.uint32)
+        large = layers["color"].repeat(2, 1).repeat(2, 2)
+        write_frame(folder / "clip", record(time), layers, reference=large, half=frozenset())
+    made = finish(folder / "clip", fps=30, scale=2.0)
+    export(made, folder / to, to)
+    same(open_any(folder / to), made, **PRECISION[to])
 
 
 def test_cameras_and_vectors_agree_before_and_after(clip: Clip) -> None:

@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
 
 from framecast import exr
 from framecast.exr import ClipError
@@ -198,8 +201,68 @@ HOSTILE: list[tuple[str, Callable[[Path], object]]] = [
     ("a.npy", huge),
     ("a.npy", lambda path: np.save(path, np.zeros(5))),
     ("a.npz", lambda path: path.write_bytes(b"PK\x03\x04")),
-    ("a.npz", lambda path: np.savez(path, a=np.zeros((2, 2)), b=np.zeros((2, 2)))),
+    ("a.npz", lambda path: np.savez(path, a=np.zeros(4), b=np.zeros((2, 2), "U1"))),
 ]
+
+
+def healthy(path: Path) -> bytes:
+    """A small file of the kind that the name asks for."""
+    if path.suffix == ".png":
+        Image.fromarray(np.arange(8 * 9 * 4, dtype=np.uint8).reshape(8, 9, 4)).save(path)
+    elif path.suffix == ".npz":
+        np.savez_compressed(path, depth=np.arange(72, dtype=np.float32).reshape(8, 9), motion=np.zeros((8, 9, 2)))
+    else:
+        np.save(path, np.arange(72, dtype=np.float32).reshape(8, 9))
+    return path.read_bytes()
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.sampled_from(("a.png", "a.npz", "a.npy")),
+    st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), max_size=12),
+    st.none() | st.integers(0, 300),
+)
+def test_pictures_and_arrays_that_are_damaged_raise_nothing_but_sentences(
+    tmp_path_factory: pytest.TempPathFactory, name: str, changes: list[tuple[int, int]], end: int | None
+) -> None:
+    path = tmp_path_factory.mktemp("fuzz") / name
+    data = bytearray(healthy(path))
+    for place, value in changes:
+        data[place % len(data)] = value
+    path.write_bytes(data[:end])
+    for look in (images.about, images.channels):
+        said, found = "", None
+        try:
+            found = look(path)
+        except ClipError as error:
+            said = str(error)
+        assert (str(path) in said and "\n" not in said) or found
+
+
+def test_an_archive_may_hold_several_arrays_of_their_own_size(tmp_path: Path) -> None:
+    depth, motion = np.arange(12.0).reshape(3, 4), np.arange(12.0).reshape(2, 3, 2)
+    np.savez(tmp_path / "a.npz", depth=depth, motion=motion, seed=np.int64(3))
+    about = images.about(tmp_path / "a.npz")
+    assert about.names == ("depth.0", "motion.0", "motion.1")
+    assert (about.size, about.size_of("motion.1")) == ((3, 4), (2, 3))
+    np.testing.assert_array_equal(images.read(tmp_path / "a.npz", ("motion.1", "motion.0"))[0], motion[..., 1])
+    with pytest.raises(ClipError, match="channels of one buffer differ in size"):
+        images.read(tmp_path / "a.npz", ("depth.0", "motion.0"))
+
+
+def test_a_part_of_lower_resolution_keeps_its_size(tmp_path: Path) -> None:
+    corner, full, half = np.zeros(2, np.int32), np.array([15, 7], np.int32), np.array([7, 3], np.int32)
+    common = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION, "displayWindow": (corner, full)}
+    color, vectors = np.ones((8, 16), np.float32), np.arange(32, dtype=np.float32).reshape(4, 8)
+    parts = [
+        OpenEXR.Part({**common, "name": "color", "dataWindow": (corner, full)}, dict.fromkeys("RGB", color)),
+        OpenEXR.Part({**common, "name": "mv", "dataWindow": (corner, half)}, dict.fromkeys(("mv.X", "mv.Y"), vectors)),
+    ]
+    OpenEXR.File(parts).write(str(tmp_path / "a.exr"))
+    about = images.about(tmp_path / "a.exr")
+    assert (about.size, about.size_of("mv.X"), about.size_of("R")) == ((8, 16), (4, 8), (8, 16))
+    np.testing.assert_array_equal(images.channels(tmp_path / "a.exr")["mv.Y"], vectors)
+    assert exr.read(tmp_path / "a.exr").channels["mv.Y"].shape == (8, 16)  # else it may be a crop
 
 
 @pytest.mark.parametrize(("name", "make"), HOSTILE)

@@ -1,14 +1,14 @@
 """Do the vectors hold what the camera does? Pixels without a vector, and whether the picture moves there."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from framecast.doctor.motion import Scene, at_points, resampled
-from framecast.doctor.probe import POINTS, Pair, fit_shift, misfit, pair_of, pick_points, sample, textured, votes
+from framecast.doctor.probe import POINTS, Pair, fit_shift, misfit, pair_of, pick_points, sample, thinned, votes
 from framecast.doctor.take import Take
-from framecast.frame import SKY, Frame, camera_motion
+from framecast.frame import SKY
 
 EMPTY_SHARE = 0.02
 """Share of the picture that has to be without vectors for a verdict."""
@@ -30,16 +30,20 @@ class Blanks:
     """What is stored there."""
     fields: tuple[np.ndarray, ...]
     """What the camera does in the points of each pair of a scene, `2 n`."""
+    depth: str
+    """The one of `DEPTHS` with which recorded cameras say so; empty where it was fitted to the pictures, light that
+    moves included."""
 
     @property
     def found(self) -> bool:
         """Whether a moving camera explains those pixels beyond doubt."""
-        return self.votes >= 4 and self.still > 1.04 * self.moved
+        return self.votes >= 4 and self.still > (1.04 if self.depth else 1.18) * self.moved
 
 
 def blank(stored: np.ndarray) -> tuple[np.ndarray, float]:
     """Pixels that hold exactly the most usual number in all channels, and that number; none where it is rare."""
-    values, counts = np.unique(stored[0], return_counts=True)
+    some = thinned(stored.shape[1])
+    values, counts = np.unique(stored[0, some, some], return_counts=True)
     code = values[np.argmax(counts)]
     same = (stored == code).all(0)
     return (same, float(code)) if same.mean() >= EMPTY_SHARE else (np.zeros_like(same), float(code))
@@ -48,6 +52,7 @@ def blank(stored: np.ndarray) -> tuple[np.ndarray, float]:
 def blanks_of(take: Take, scene: Scene) -> Blanks | None:
     """What becomes of pixels without vectors; None where there are too few of them, or too little texture on them."""
     still, moved, blocks, fields, shares, surfaces, code = [], [], [], [], [], [], 0.0
+    depth: str | None = None
     for k, before in enumerate(scene.pairs):
         empty, code = blank(take.stored[before.here]["motion"])
         empty = resampled(empty, take.size)
@@ -55,15 +60,16 @@ def blanks_of(take: Take, scene: Scene) -> Blanks | None:
         solid = empty & ~background(take, before.here)
         surfaces.append(solid.mean())
         image = take.images[before.here].astype(np.float32)
-        points = pick_points(textured(image), solid if solid.mean() > EMPTY_SHARE else empty, POINTS // 2, k)
+        points = pick_points(image, solid if solid.mean() > EMPTY_SHARE else empty, POINTS // 2, k)
         if len(points) < 200:
             continue
         pair = replace(
             pair_of([image, take.images[before.there].astype(np.float32)], 0, 1, points),
             here=before.here, there=before.there,
         )  # fmt: skip
-        field = recorded_field(take, pair, points)
-        everywhere = recorded_field(take, before, scene.points[k])
+        depth = best_depth(take, pair, points) if depth is None else depth
+        field = recorded_field(take, pair, points, depth)
+        everywhere = recorded_field(take, before, scene.points[k], depth)
         if field is None or everywhere is None:
             model = fit_camera(pair)
             field = polynomial(pair.x, pair.y, take.size) @ model
@@ -85,8 +91,9 @@ def blanks_of(take: Take, scene: Scene) -> Blanks | None:
     sure = votes(b, a, np.concatenate(blocks))
     complete = tuple(fields) if len(fields) == len(scene.pairs) else ()
     return Blanks(
-        float(np.mean(shares)), float(np.mean(surfaces)), float(a.mean()), float(b.mean()), float(sure), code, complete
-    )
+        float(np.mean(shares)), float(np.mean(surfaces)), float(a.mean()), float(b.mean()), float(sure), code, complete,
+        depth or "",
+    )  # fmt: skip
 
 
 def background(take: Take, t: int) -> np.ndarray:
@@ -108,23 +115,61 @@ def sky_of(depth: np.ndarray) -> np.ndarray:
     return out
 
 
-def recorded_field(take: Take, pair: Pair, points: np.ndarray) -> np.ndarray | None:
-    """What the recorded cameras do in points, from depth as it stands; None without cameras or depth."""
-    here, there = take.records[pair.here], take.records[pair.there]
+DEPTHS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "distance": lambda v: v,
+    "reversed": lambda v: NEAR / np.maximum(v, 1e-9),
+    "device": lambda v: NEAR / np.maximum(1 - v, 1e-9),
+    "hundredth": lambda v: v / 100,
+    "hundredfold": lambda v: v * 100,
+}
+"""What stored depth may be while nothing is known of it: distances from numbers."""
+
+NEAR = 0.1
+"""Near plane, where it matters before it is known."""
+
+
+def best_depth(take: Take, pair: Pair, points: np.ndarray) -> str:
+    """The one of `DEPTHS` with which the recorded cameras make two frames agree best; empty without cameras or depth,
+    or where a smooth motion of the picture does better."""
+    errors = {}
+    for name in DEPTHS:
+        field = recorded_field(take, pair, points, name)
+        if field is not None:
+            rest = fit_shift(pair, field[0], field[1])
+            errors[name] = float(misfit(pair, field[0] + rest[0], field[1] + rest[1]).mean())
+    if not errors:
+        return ""
+    best = min(errors, key=errors.__getitem__)
+    best = "distance" if errors["distance"] < 1.02 * errors[best] else best
+    smooth = (polynomial(pair.x, pair.y, take.size) @ fit_camera(pair)).T
+    return best if errors[best] < 1.1 * float(misfit(pair, smooth[0], smooth[1]).mean()) else ""
+
+
+def recorded_field(take: Take, pair: Pair, points: np.ndarray, reading: str = "distance") -> np.ndarray | None:
+    """What the recorded cameras do in points, from depth as one of `DEPTHS`; None without cameras or depth."""
     depth = take.stored[pair.here].get("depth")
-    if depth is None or "cameras" not in take.recorded or here.view is None or there.view is None:
+    if not reading or depth is None or "cameras" not in take.recorded:
         return None
-    near = resampled(np.clip(np.nan_to_num(depth[0].astype(np.float32), nan=SKY), 1e-6, SKY), take.size)
+    numbers = at_points(depth, points, take.size)[0].astype(np.float64)
+    sky = at_points(sky_of(depth[0])[None], points, take.size)[0]
+    z = np.where(sky, 1e7, np.clip(DEPTHS[reading](np.nan_to_num(numbers, nan=SKY, posinf=SKY)), 1e-6, 1e7))
+    return caused(take, pair.here, pair.there, points, z).astype(np.float32)
 
-    def frame(record_view: object, projection: object) -> Frame:
-        return Frame(
-            depth=torch.from_numpy(np.ascontiguousarray(near))[None, None],
-            view=torch.tensor([record_view]), projection=torch.tensor([projection]),
-            jitter=torch.zeros(1, 2), time=torch.zeros(1), reset=torch.zeros(1, dtype=torch.bool), span=torch.ones(1),
-        )  # fmt: skip
 
-    motion = camera_motion(frame(here.view, here.projection), frame(there.view, there.projection))[0].numpy()
-    return at_points(motion, points, take.size)
+def caused(take: Take, here: int, there: int, places: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Displacement `2 n` in pixels that recorded cameras cause at linear indices, of surfaces at these distances."""
+    (height, width), a, b = take.size, take.records[here], take.records[there]
+    p, q = np.array(a.projection), np.array(b.projection)
+    x, y = places % width + 0.5, places // width + 0.5
+    w = -p[3, 2] * z + p[3, 3]
+    camera = np.stack([
+        ((2 * x / width - 1) * w + p[0, 2] * z - p[0, 3]) / p[0, 0],
+        ((1 - 2 * y / height) * w + p[1, 2] * z - p[1, 3]) / p[1, 1], -z, np.ones_like(z),
+    ])  # fmt: skip
+    clip = q @ np.array(b.view) @ np.linalg.inv(np.array(a.view)) @ camera
+    w = np.where(np.abs(clip[3]) < 1e-8, 1e-8, clip[3])
+    moved: np.ndarray = np.stack([(clip[0] / w + 1) * width / 2 - x, (1 - clip[1] / w) * height / 2 - y])
+    return moved
 
 
 def polynomial(x: np.ndarray, y: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -8,7 +8,12 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from framecast.doctor import draw, examine
-from framecast.importers.settings import NAME, write_settings
+from framecast.exr import whole
+from framecast.importers.cameras import posed
+from framecast.importers.settings import NAME, Cameras, write_settings
+
+CAMERAS = "cameras.json"
+"""File of the recorded cameras, beside the settings that name it."""
 
 Out = Annotated[Path, arg(aliases=["-o"])]
 
@@ -23,14 +28,20 @@ def command(
 
     Args:
         folder: the folder to examine.
-        out: folder for doctor.png (before and after) and framecast-import.json (how to import what was found);
-            those of an earlier run are replaced.
+        out: folder for doctor.png (before and after) and framecast-import.json (how to import what was found, with
+            cameras.json where cameras are recorded); those of an earlier run are replaced.
         json_: print what was found for machines.
     """
     examined = examine(folder)
     report = examined.report
     picture = draw(examined, out / "doctor.png")
-    settings = write_settings(report.settings, out / NAME)
-    report = replace(report, written=(str(picture), str(settings)))
+    written = [str(picture)]
+    if examined.cameras:
+        with whole(out / CAMERAS) as temporary:
+            temporary.write_text(json.dumps(posed(examined.cameras, report.settings.axes)), encoding="utf-8")
+        written.append(str(out / CAMERAS))
+        report = replace(report, settings=replace(report.settings, cameras=Cameras(file=CAMERAS)))
+    written.append(str(write_settings(report.settings, out / NAME)))
+    report = replace(report, written=tuple(written))
     print(json.dumps(report.json(), indent=1) if json_ else report.text())
     return int(report.verdict != "healthy")

@@ -12,11 +12,16 @@ import numpy as np
 
 from framecast.doctor.camera import polynomial, sky_of
 from framecast.doctor.motion import resampled
+from framecast.doctor.probe import thinned
 from framecast.doctor.take import Take
 from framecast.importers.settings import Depth
 
 VIEWS = (25.0, 40.0, 55.0, 70.0, 90.0)
 """Vertical fields of view in degrees that are tried where the lens is not known."""
+
+
+GRAINS = 400
+"""Steps of the stored numbers that a slope has to rise by before its bending is looked at."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,7 @@ def candidates(raw: np.ndarray, tangents: Sequence[float]) -> dict[str, np.ndarr
         raw: numbers `h w`, not of the sky. tangents: of half the vertical field of view, that are to be tried.
     """
     positive = np.maximum(np.abs(raw.astype(np.float64)), 1e-9)
-    out = {"planar": 1 / positive, "inverse": raw.astype(np.float64)}
+    out = {"planar": 1 / positive, "inverse": raw - (1.0 if is_device(raw) else 0.0)}
     height, width = raw.shape
     y, x = np.mgrid[0:height, 0:width] + 0.5
     for tangent in tangents:
@@ -53,24 +58,40 @@ def candidates(raw: np.ndarray, tangents: Sequence[float]) -> dict[str, np.ndarr
     return out
 
 
+def is_device(raw: np.ndarray) -> bool:
+    """Whether numbers lie as those of device depth do, most of them near 1, which then stands for infinity."""
+    return float(raw.max()) <= 1.0 + 1e-6 and float(raw.min()) >= 0 and float(np.median(raw)) > 0.5
+
+
 def planarity(take: Take, tangents: Sequence[float]) -> Law:
-    """The lower quartile of how much each candidate bends, as a share of its slope, two pixels to either side."""
+    """The lower third of how much each candidate bends, as a share of its slope, two pixels to either side.
+
+    Only slopes count that are large against the candidate itself and against the step of the stored numbers. A
+    candidate that hardly slopes where another one does would be a world without relief, and is none.
+    """
     bends: dict[str, list[np.ndarray]] = {}
     for t in _some(take):
-        raw = np.nan_to_num(take.stored[t]["depth"][0].astype(np.float64), nan=0, posinf=3e38, neginf=0)
-        solid = ~sky_of(take.stored[t]["depth"][0])
-        inner = solid[:, 4:] & solid[:, :-4] & solid[:, 2:-2], solid[4:] & solid[:-4] & solid[2:-2]
-        for name, f in candidates(np.where(solid, raw, 1), tangents).items():
-            for axis, where in enumerate(inner):
-                f_ = f if axis == 0 else f.T
-                where_ = where if axis == 0 else where.T
-                a, b, c = f_[:, :-4], f_[:, 2:-2], f_[:, 4:]
+        stored = take.stored[t]["depth"][0]
+        raw = np.nan_to_num(stored.astype(np.float64), nan=0, posinf=3e38, neginf=0)
+        solid = ~sky_of(stored)
+        raw = np.where(solid, raw, 1)
+        step = GRAINS * np.abs(raw) * (2.0**-11 if stored.dtype == np.float16 else 2.0**-24)
+        for name, f in candidates(raw, tangents).items():
+            for turn in (False, True):
+                planes = [(p.T if turn else p)[thinned(len(p))] for p in (f, raw, step, solid)]
+                (a, b, c), (r, _, s), (_, floor, _), ends = (_along(p) for p in planes)
                 rise = np.abs(c - a) / 2
-                tells = where_ & (rise > 2e-3 * np.abs(b)) & (rise < 0.2 * np.abs(b))
+                tells = ends[0] & ends[1] & ends[2] & (rise > 2e-3 * np.abs(b)) & (rise < 0.2 * np.abs(b))
+                tells &= np.abs(s - r) / 2 > floor
                 bends.setdefault(name, []).append((np.abs(a - 2 * b + c)[tells] / rise[tells])[::3])
     joined = {k: np.concatenate(v) for k, v in bends.items()}
-    weight = min(map(len, joined.values()), default=0)
-    return Law({k: float(np.quantile(v, 0.3)) if len(v) else np.inf for k, v in joined.items()}, weight)
+    weight = max(map(len, joined.values()), default=0)
+    return Law({k: float(np.quantile(v, 0.3)) if len(v) > weight / 10 else np.inf for k, v in joined.items()}, weight)
+
+
+def _along(plane: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values two pixels to the left, here, and two pixels to the right."""
+    return plane[:, :-4], plane[:, 2:-2], plane[:, 4:]
 
 
 def _some(take: Take, most: int = 4) -> list[int]:

@@ -1,12 +1,13 @@
 """Vectors at silhouettes: of the same frame as depth, as wide as the object, crisp, and how finely stored."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from framecast.doctor.camera import sky_of
 from framecast.doctor.motion import resampled
+from framecast.doctor.probe import thinned
 from framecast.doctor.take import Take
 
 JUMP = 1.0
@@ -37,7 +38,8 @@ def edges_of(vectors: Mapping[int, np.ndarray], depths: Mapping[int, np.ndarray]
                 z, v = depths[t], vectors[t]
                 z, v = (z.T, v.transpose(0, 2, 1)) if turn else (z, v)
                 z, v = (z[:, ::-1], v[:, :, ::-1]) if flip else (z, v)
-                a, b = across(z, v)
+                some = thinned(len(z))
+                a, b = across(z[some], v[:, some])
                 carried.append(a)
                 between.append(b)
     a = np.concatenate(carried) if carried else np.zeros(0, bool)
@@ -67,20 +69,35 @@ def across(z: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return share[1] > 0.85, mixed
 
 
-def alignment(take: Take, offset: int) -> tuple[float, int]:
-    """Correlation between where depth jumps in a frame and where the vectors of the file `offset` frames before do."""
-    scores = []
-    for t in take.pairs:
-        s = t - offset
-        if not (1 <= s < len(take.stored)) or "depth" not in take.stored[t] or "motion" not in take.stored[s]:
-            continue
-        z = relative(take.stored[t]["depth"][0])
-        v = np.nan_to_num(take.stored[s]["motion"][:2].astype(np.float32))
-        step = _jumps(resampled(z, take.size)[None])
-        moved = _jumps(np.stack([resampled(plane, take.size) for plane in v]))
-        if step.std() > 0 and moved.std() > 0:
-            scores.append(float(np.corrcoef(step.ravel(), moved.ravel())[0, 1]))
-    return (float(np.median(scores)), len(scores)) if scores else (0.0, 0)
+def alignments(take: Take, offsets: Sequence[int]) -> dict[int, tuple[float, int]]:
+    """Correlation between where depth jumps in a frame and where the vectors of the file `offset` frames before do, and
+    in how many frames, by offset."""
+    size = _reduced(take.size)
+    depths = {
+        t: _jumps(relative(resampled(take.stored[t]["depth"][0], size))[None])
+        for t in take.pairs
+        if "depth" in take.stored[t]
+    }
+    vectors = {}
+    for s in {t - offset for t in depths for offset in offsets}:
+        if 1 <= s < len(take.stored) and "motion" in take.stored[s]:
+            planes = take.stored[s]["motion"][:2].astype(np.float32)
+            vectors[s] = _jumps(np.stack([resampled(plane, size) for plane in np.nan_to_num(planes)]))
+    out = {}
+    for offset in offsets:
+        scores = [
+            float(np.corrcoef(step.ravel(), vectors[t - offset].ravel())[0, 1])
+            for t, step in depths.items()
+            if t - offset in vectors and step.std() > 0 and vectors[t - offset].std() > 0
+        ]
+        out[offset] = (float(np.median(scores)), len(scores)) if scores else (0.0, 0)
+    return out
+
+
+def _reduced(size: tuple[int, int]) -> tuple[int, int]:
+    """A size of at most some hundred rows: silhouettes of large pictures move by more pixels."""
+    times = max(1, round(size[0] / 240))
+    return size[0] // times, size[1] // times
 
 
 def relative(depth: np.ndarray) -> np.ndarray:

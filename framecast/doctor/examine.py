@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from framecast.clip import Record
 from framecast.doctor.camera import sky_of
 from framecast.doctor.edges import edges_of, grain_of, solid_depths
 from framecast.doctor.jitter import Match
@@ -33,6 +34,15 @@ from framecast.exr import ClipError
 from framecast.importers.decode import decode_depth
 from framecast.importers.settings import Depth, Jitter, Motion, Settings
 
+OF_LENGTH = ("normal.encoded", "normal.length")
+"""Findings about normals that need no depth."""
+
+NO_SLOPES = Finding(
+    "normal.open",
+    "unknown",
+    "in what space normals are cannot be told while depth is not understood, whose slopes they should fit",
+)
+
 
 @dataclass(frozen=True)
 class Examined:
@@ -42,6 +52,8 @@ class Examined:
     take: Take
     told: Told
     claim: Settings
+    cameras: Sequence[Record]
+    """Records of all frames, where they hold cameras that the settings do not tell of."""
 
 
 def examine(folder: Path | str) -> Examined:
@@ -59,7 +71,11 @@ def examine(folder: Path | str) -> Examined:
         source, take = _cropped(source, take, crop)
     settings = source.claim if crop is None else replace(source.claim, crop=crop)
     told, late, offset = _vectors(take, settings.motion)
-    findings += [*told.findings, *late]
+    odd, apart = _odd(take, told)
+    if apart and len(apart) < len(take.pairs) / 2:
+        take = replace(take, joined=tuple(j and t not in apart for t, j in enumerate(take.joined)))
+        told, late, offset = _vectors(take, settings.motion)
+    findings += [*told.findings, *late, *odd]
     fields = fields_of(take, told, _some(take))
     shake = told.answer.shake if told.answer and told.motion else Shake((), np.zeros((0, 2)), None, None)
     jittered = False
@@ -68,12 +84,11 @@ def examine(folder: Path | str) -> Examined:
         said, jitter, jittered = tell_jitter(take, shake, every, settings.jitter)
         findings += said
         settings = replace(settings, jitter=jitter)
-        findings += tell_odd(take, every, told.answer.shifts)
     if told.motion is not None and settings.motion is not None:
         settings = replace(
             settings, motion=replace(told.motion, offset=settings.motion.offset + offset, jittered=jittered)
         )
-    if source.kind == "clip" and "jitter" in take.recorded and not jitter_gone(findings):
+    if settings.cameras is None and "jitter" in take.recorded and not jitter_gone(findings):
         settings = replace(settings, jitter=_recorded(source, settings.jitter))
     settings, said = _surfaces(source, take, settings, _unshaken(take, fields, jittered))
     findings += said
@@ -83,7 +98,9 @@ def examine(folder: Path | str) -> Examined:
         str(source.path), source.kind if source.kind != "unknown" else "a folder of unknown origin", take.numbers,
         len(source.numbers), (take.size[1], take.size[0]), tuple(findings), settings,
     )  # fmt: skip
-    return Examined(report, take, told, source.claim)
+    lacking = settings.cameras is None or (settings.cameras.file is None and not settings.cameras.motion)
+    cameras = source.records if lacking and "cameras" in source.recorded else ()
+    return Examined(report, take, told, source.claim, cameras)
 
 
 def _recorded(source: Source, found: Jitter) -> Jitter:
@@ -149,6 +166,21 @@ def _vectors(take: Take, claim: Motion | None) -> tuple[Told, list[Finding], int
     return tell_motion(take, claim), [], 0
 
 
+def _odd(take: Take, told: Told) -> tuple[list[Finding], set[int]]:
+    """What is wrong between single frames, and which: those say nothing about what the vectors of the others mean."""
+    answer = told.answer
+    if answer is None:
+        return [], set()
+    steps = steps_of(take, answer.best.reading, answer.shifts)
+    scales = measured_scale(take, answer.scene, answer.best, answer.shifts) if told.motion is not None else {}
+    said, apart = tell_time(take, steps, scales)
+    if told.motion is not None and told.lacks != "camera":  # what is left of such vectors explains no picture
+        whole = replace(take, joined=tuple(j and t not in apart for t, j in enumerate(take.joined)))
+        more, others = tell_odd(whole, fields_of(whole, told, whole.pairs), answer.shifts)
+        said, apart = said + more, apart | others
+    return said, apart
+
+
 def _unshaken(take: Take, fields: Mapping[int, np.ndarray], jittered: bool) -> dict[int, np.ndarray]:
     """Vectors without the jitter that they may hold (where it is recorded)."""
     if not jittered:
@@ -177,9 +209,9 @@ def _surfaces(
     distances = _distances(take, depth or claimed)
     if settings.normal is not None and distances:
         tangents = tangents_of(take)
-        normals = normals_of(take, distances, tangents[0] if len(tangents) == 1 else 0.45)
+        normals = normals_of(take, distances, tangents[0] if len(tangents) == 1 else 0.45, settings.axes)
         said, normal = tell_normals(normals, settings.normal)
-        findings += said
+        findings += said if depth is not None else [*(f for f in said if f.code in OF_LENGTH), NO_SLOPES]
         settings = replace(settings, normal=normal or settings.normal)
     if fields and settings.motion is not None:
         near = {t: resampled(z, take.size) for t, z in solid_depths(take, distances).items()}
@@ -225,7 +257,7 @@ def _distances(take: Take, depth: Depth) -> dict[int, np.ndarray]:
 
 
 def _light(source: Source, take: Take, settings: Settings, told: Told) -> tuple[Settings, list[Finding]]:
-    """Colour, exposure, cuts."""
+    """Colour and exposure."""
     assert settings.color is not None
     said, color = tell_color(tone_of(take), settings.color, source.bits["color"])
     if told.answer is None:
@@ -236,8 +268,7 @@ def _light(source: Source, take: Take, settings: Settings, told: Told) -> tuple[
     more, factors = tell_exposure(exposure, len(take.numbers))
     if factors is not None and len(take.numbers) == len(source.numbers):
         color = replace(color, exposure=factors)
-    scales = measured_scale(take, answer.scene, answer.best, answer.shifts) if told.motion is not None else {}
-    return replace(settings, color=color), [*said, *more, *tell_time(take, steps, scales)]
+    return replace(settings, color=color), [*said, *more]
 
 
 __all__ = ["Examined", "Match", "examine"]

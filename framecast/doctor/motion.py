@@ -21,7 +21,7 @@ from framecast.doctor.probe import (
     pair_of,
     pick_points,
     sample,
-    textured,
+    thinned,
     votes,
 )
 from framecast.doctor.take import Take
@@ -36,6 +36,9 @@ UNREAL_BIAS, UNREAL_SCALE = 32767 / 65535, 1 / 0.2495
 FACTORS = (1.0, 0.5, 2.0, 0.25, 4.0)
 """Lengths of vectors in pixels that are tried: half and double are other resolutions, or the half that NDC loses."""
 
+
+TELLING = 0.75
+"""Share of the points that decide between two readings: those that one of them explains best."""
 
 Direction = Literal["current->previous", "previous->current", "current->next", "next->current"]
 
@@ -141,11 +144,10 @@ def scene_of(take: Take, name: str = "motion", *, written: bool = False) -> Scen
         stored = take.stored[t][name]
         own = (stored.shape[1], stored.shape[2])
         image = take.images[t].astype(np.float32)
-        strength = textured(image)
         lively = restless(stored, take.size)
         anywhere = lively if written else np.ones_like(lively)
         points = np.union1d(
-            pick_points(strength, lively, POINTS // 2, t), pick_points(strength, anywhere, POINTS // 2, t + 1)
+            pick_points(image, lively, POINTS // 2, t), pick_points(image, anywhere, POINTS // 2, t + 1)
         )
         if len(points) < 50:
             continue
@@ -165,9 +167,10 @@ def restless(stored: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     planes = stored[:2].astype(np.float32) if len(stored) < 4 else stored.astype(np.float32)
     planes = np.nan_to_num(planes, nan=0, posinf=0, neginf=0)
     distance = np.zeros(planes.shape[1:], np.float32)
+    some = thinned(planes.shape[1])
     for plane in planes:
-        distance = np.maximum(distance, np.abs(plane - np.median(plane)))
-    top = np.quantile(distance, 0.995)
+        distance = np.maximum(distance, np.abs(plane - np.median(plane[some, some])))
+    top = np.quantile(distance[some, some], 0.995)
     return resampled((distance > 0.15 * top) & (distance > 0), size)
 
 
@@ -254,7 +257,10 @@ def vectors_of(take: Take, scene: Scene, k: int, reading: Reading, name: str) ->
 
 
 def margin(best: Trial, other: Trial, scene: Scene) -> tuple[float, float, float]:
-    """Errors of two readings where they differ by more than a quarter pixel, and the votes for the first."""
+    """Errors of two readings where they differ by more than a quarter pixel, and the votes for the first.
+
+    The points that both explain worst are left out: what is hidden in the other frame, reflections, foam.
+    """
     turned = ("next" in best.reading.motion.direction) != ("next" in other.reading.motion.direction)
     ours, theirs, blocks = [], [], []
     for k in best.errors.keys() & other.errors.keys():
@@ -265,4 +271,7 @@ def margin(best: Trial, other: Trial, scene: Scene) -> tuple[float, float, float
     if sum(map(len, ours)) < 40:
         return 0.0, 0.0, 0.0
     a, b = np.concatenate(ours), np.concatenate(theirs)
-    return float(a.mean()), float(b.mean()), float(votes(a, b, np.concatenate(blocks)))
+    lesser = np.minimum(a, b)
+    told = lesser <= np.quantile(lesser, TELLING)
+    a, b = a[told], b[told]
+    return float(a.mean()), float(b.mean()), float(votes(a, b, np.concatenate(blocks)[told]))

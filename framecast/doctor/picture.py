@@ -37,7 +37,7 @@ def draw(examined: Examined, path: Path) -> Path:
     as_found = as_claimed
     if told.answer is not None and told.motion is not None:
         as_found = _whole(take, t, told.motion, told.answer.best.reading.offset)
-        as_found = as_found + _camera(take, t, told.lacks, as_found)
+        as_found = as_found + _camera(take, t, told.lacks, told.blanks.depth if told.blanks else "", as_found)
     first = as_claimed + _shift(recorded_shifts(take, [t])[0])
     second = as_found + _shift(_found_shift(told.answer.shifts if told.answer else None, t))
     names = ("as claimed", "as found")
@@ -73,13 +73,13 @@ def _whole(take: Take, t: int, motion: Motion, offset: int) -> np.ndarray:
     return -planes if "next" in motion.direction else planes
 
 
-def _camera(take: Take, t: int, lacks: str, found: np.ndarray) -> np.ndarray:
+def _camera(take: Take, t: int, lacks: str, depth: str, found: np.ndarray) -> np.ndarray:
     """What the recorded cameras add to vectors that lack it."""
     everything = np.arange(take.size[0] * take.size[1])
     if not lacks:
         return np.zeros_like(found)
     pair = pair_of([take.images[t].astype(np.float32)] * 2, 0, 1, everything[:1])
-    field = recorded_field(take, replace(pair, here=t, there=t - 1), everything)
+    field = recorded_field(take, replace(pair, here=t, there=t - 1), everything, depth)
     if field is None:
         return np.zeros_like(found)
     field = field.reshape(found.shape)

@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
-from framecast.doctor.camera import sky_of
+from framecast.doctor.camera import caused, sky_of
 from framecast.doctor.depth import VIEWS, Law, family, parallax, planarity
 from framecast.doctor.motion import resampled
 from framecast.doctor.report import Finding
@@ -59,6 +60,18 @@ def tell_depth(
     found, scaled = parameters(take, claim, kind, fields, values)
     out = []
     claimed = claim.kind
+    if found.kind in ("device", "reversed") and claim.near == 0 and "cameras" not in take.recorded:
+        says = (
+            f"the near plane of depth is not known, the settings say {found.near:g}; write yours (depth.near): "
+            "all distances are multiples of it"
+        )
+        out.append(Finding("depth.near", "note", says))
+    if scaled is None and found.kind in ("planar", "euclidean") and "cameras" in take.recorded:
+        says = (
+            "whether depth and cameras have the same unit cannot be told (the camera hardly walks); record one that "
+            "does, or check that both are metres"
+        )
+        out.append(Finding("depth.open", "unknown", says))
     if found.kind != claimed and not _alike(found.kind, claimed, values):
         ours, theirs = law.misfits[value], law.misfits.get(_name(claimed, law), float("nan"))
         unit = "of the slope that planes bend" if name == "planarity" else "pixels that the camera's motion leaves over"
@@ -149,18 +162,15 @@ def parameters(
     bare = replace(claim, kind="planar", near=0.0, far=None, scale=1.0, bias=0.0)
     near = _near(take)
     if group == "inverse":
-        top = float(values.max())
-        if top > 1.0001:
-            return replace(bare, kind="inverse"), None
-        kind = "device" if float(np.median(values)) > 0.5 else "reversed"
-        if family(claim.kind) == "inverse" and claim.kind != "inverse" and claim.kind == kind:
+        if float(values.max()) > 1.0001:
+            scaled = fitted_scale(take, replace(bare, kind="inverse"), fields)
+            return replace(bare, kind="inverse", scale=1 / (scaled or 1.0)), None
+        kind: Literal["device", "reversed"] = "device" if float(np.median(values)) > 0.5 else "reversed"
+        if claim.kind == kind:
             return claim, None
-        return replace(
-            bare,
-            kind="device" if kind == "device" else "reversed",
-            near=near,
-            far=_far(take) if kind == "device" else None,
-        ), None
+        found = replace(bare, kind=kind, near=near, far=_far(take) if kind == "device" else None)
+        times = fitted_scale(take, found, fields) or 1.0
+        return replace(found, near=near * times, far=found.far * times if found.far else None), None
     if group == "euclidean":
         found = replace(bare, kind="euclidean")
         return found, fitted_scale(take, found, fields)
@@ -242,15 +252,4 @@ def fitted_scale(take: Take, depth: Depth, fields: Mapping[int, np.ndarray]) -> 
 
 def _camera_misfit(take: Take, t: int, places: np.ndarray, z: np.ndarray, v: np.ndarray) -> float:
     """Median distance in pixels between vectors `2 n` and what the cameras cause at pixels of these distances."""
-    (height, width), here, there = take.size, take.records[t], take.records[t - 1]
-    p, q = np.array(here.projection), np.array(there.projection)
-    x, y = places % width + 0.5, places // width + 0.5
-    w = -p[3, 2] * z + p[3, 3]
-    camera = np.stack([
-        ((2 * x / width - 1) * w + p[0, 2] * z - p[0, 3]) / p[0, 0],
-        ((1 - 2 * y / height) * w + p[1, 2] * z - p[1, 3]) / p[1, 1], -z, np.ones_like(z),
-    ])  # fmt: skip
-    clip = q @ np.array(there.view) @ np.linalg.inv(np.array(here.view)) @ camera
-    w = np.where(np.abs(clip[3]) < 1e-8, 1e-8, clip[3])
-    moved = np.stack([(clip[0] / w + 1) * width / 2 - x, (1 - clip[1] / w) * height / 2 - y])
-    return float(np.median(np.abs(moved - v).max(0)))
+    return float(np.median(np.abs(caused(take, t, t - 1, places, z) - v).max(0)))

@@ -11,6 +11,10 @@ from framecast.doctor.search import Shake, fits
 from framecast.doctor.take import Take
 from framecast.importers.settings import Jitter
 
+UNEXPLAINED = 0.15
+"""Pixels (root mean square) from which on shifts that follow no sequence are jitter; positions anywhere in a pixel
+give 0.4, vectors that are not exact a tenth."""
+
 
 def tell_jitter(
     take: Take, shake: Shake, fields: Mapping[int, np.ndarray], claim: Jitter
@@ -56,6 +60,12 @@ def tell_jitter(
             f"from phase {start} on{_signed(match)} ({match.explained:.0%} explained)"
         )
         return [Finding("jitter.unrecorded", "fix", words)], _sequence(shake.sequence, match), False
+    if shake.size < UNEXPLAINED:
+        words = (
+            f"jitter: none that can be told; the picture moves by {shake.size:.2f} pixels more than the vectors say, "
+            "which is less than jitter does"
+        )
+        return [Finding("jitter", "note", words)], claim, False
     words = (
         f"the picture shakes by {shake.size:.2f} pixels from frame to frame and nothing says "
         "so; record the jitter of each frame "

@@ -196,8 +196,8 @@ def worded(motion: Motion) -> str:
 
 
 def effective(motion: Motion) -> tuple[float, float]:
-    """Signs of the vectors that lead to the previous frame, everything moving evenly."""
-    turned = -1.0 if motion.direction in ("previous->current", "current->next") else 1.0
+    """Signs of the vectors that lead from this frame to the other one, right and down."""
+    turned = -1.0 if motion.direction in ("previous->current", "next->current") else 1.0
     return motion.sign[0] * turned, motion.sign[1] * turned
 
 

@@ -5,15 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from framecast.doctor.edges import Edges, Grain, alignment
+from framecast.doctor.edges import Edges, Grain, alignments
 from framecast.doctor.motion import Shifts
-from framecast.doctor.probe import fit_shift, misfit, pair_of, pick_points, textured
+from framecast.doctor.probe import fit_shift, misfit, pair_of, pick_points
 from framecast.doctor.report import Finding, State
 from framecast.doctor.surface import Normals, Tone
 from framecast.doctor.take import Take
 from framecast.doctor.timeline import Exposure, Step, cuts, padding, repeats, skips
 from framecast.importers.blender import ranges
 from framecast.importers.settings import Color, Normal
+
+TURNED = 4.0
+"""Degrees from which on a camera is turned against the world by more than normals are off in any case."""
 
 
 def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding], Normal | None]:
@@ -49,7 +52,7 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
     best = min(angles, key=angles.__getitem__)
     claimed = (claim.space, claim.sign)
     if claimed not in angles:  # world, without cameras
-        return _without_cameras(normals, out, found, best)
+        return _without_cameras(normals, out, found)
     if angles[best] > 35:
         out.append(
             Finding(
@@ -72,6 +75,12 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
         )
         out.append(Finding(code, "fix", says, angles[claimed], angles[best]))
         found = replace(found, space=space, sign=sign)  # type: ignore[arg-type]
+    elif normals.turning < TURNED and not out:
+        says = (
+            f"normals fit the slopes of depth ({angles[claimed]:.1f} degrees off); whether they are in world or view "
+            f"space cannot be told, the camera is turned by {normals.turning:.1f} degrees only; record one that turns"
+        )
+        out.append(Finding("normal.open", "unknown", says))
     elif not out:
         out.append(
             Finding(
@@ -83,39 +92,36 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
     return out, found
 
 
-def _without_cameras(
-    normals: Normals, out: list[Finding], found: Normal, best: tuple[str, tuple[float, float, float]]
-) -> tuple[list[Finding], Normal]:
-    """World and view told apart by whether they agree with the view as they are; mirrored axes by any rotation."""
-    angle = normals.angles[best]
-    if angle < 15:
-        turned = [axis for axis, s in zip("xyz", best[1], strict=True) if s < 0]
-        flips = f", turned around in {' and '.join(turned)}" if turned else ""
-        out.append(
-            Finding(
-                "normal.space",
-                "fix",
-                f"normals are in view space{flips} ({angle:.1f} degrees from the slopes of depth), not in world space",
-            )
-        )
-        return out, replace(found, space="view", sign=best[1])
-    if normals.free["mirrored"] > normals.free["proper"] + 0.03:
+def _without_cameras(normals: Normals, out: list[Finding], found: Normal) -> tuple[list[Finding], Normal]:
+    """Any camera may have looked: world normals fit the slopes after some rotation, and as they are where that camera
+    was not turned. So only a mirrored axis can be told from a right one, and view space from a turned camera's world.
+    """
+    free, mirrored = normals.free["proper"], normals.free["mirrored"]
+    as_is = normals.angles["view", found.sign]
+    if min(free, mirrored) > 35:
+        says = f"normals do not fit the slopes of depth in any space ({free:.0f} degrees off); check both passes"
+        out.append(Finding("normal.shape", "fix", says))
+    elif mirrored < 0.7 * free - 1 and as_is > 1.4 * mirrored + 1:
+        flips = [tuple(-s if k == axis else s for k, s in enumerate(found.sign)) for axis in range(3)]
+        sign = min(flips, key=lambda s: normals.facing[s])  # type: ignore[index]
+        sure = normals.facing[sign] < 15  # type: ignore[index]
+        sign = sign if sure else flips[1]
+        axis = "xyz"[flips.index(sign)]
         says = (
-            "one axis of the normals is turned around: no rotation of the world fits the slopes of "
-            f"depth (cosine {normals.free['proper']:.2f}), "
-            f"a mirrored one does ({normals.free['mirrored']:.2f}); usually it is y"
+            f"one axis of the normals is turned around: the best rotation of the world leaves {free:.0f} degrees to "
+            f"the slopes of depth, a mirrored one {mirrored:.0f}; {'it' if sure else 'usually it'} is {axis}"
         )
-        out.append(Finding("normal.sign", "fix", says))
-        return out, replace(found, sign=(found.sign[0], -found.sign[1], found.sign[2]))
-    if not out:
-        out.append(
-            Finding(
-                "normal",
-                "fine",
-                "normals: world space (after a rotation they fit the slopes of depth, cosine "
-                f"{normals.free['proper']:.2f})",
-            )
+        out.append(Finding("normal.sign", "fix", says, free, mirrored))
+        return out, replace(found, sign=sign)  # type: ignore[arg-type]
+    elif as_is < 15 and as_is < 1.4 * free + 2:
+        says = (
+            f"normals fit the slopes of depth as they are ({as_is:.1f} degrees off): they are in view space, or in a "
+            "world along whose axes the camera looks; which of the two, recorded cameras would tell"
         )
+        out.append(Finding("normal.open", "unknown", says))
+    elif not out:
+        says = f"normals: world space (after a rotation they fit the slopes of depth to within {free:.1f} degrees)"
+        out.append(Finding("normal", "fine", says))
     return out, found
 
 
@@ -189,20 +195,22 @@ def tell_exposure(exposure: Exposure, frames: int) -> tuple[list[Finding], tuple
     return [], None
 
 
-def tell_time(take: Take, steps: Sequence[Step], scales: Mapping[int, float]) -> list[Finding]:
-    """Cuts, frames left out, frames repeated."""
+def tell_time(take: Take, steps: Sequence[Step], scales: Mapping[int, float]) -> tuple[list[Finding], set[int]]:
+    """Cuts, frames left out, frames repeated; and which frames do not follow the one before as the others do."""
     number = take.numbers
-    out = []
+    out, apart = [], set[int]()
     if found := cuts(steps):
         says = (
             f"the picture changes altogether at frame {ranges(number[t] for t in found)}: a cut, or "
             "another shot; split the folder there, or record the cut"
         )
         out.append(Finding("frames.cut", "fix", says))
+        apart |= {*found}
     if found := repeats(steps):
         says = f"frame {ranges(number[t] for t in found)} is the frame before once more; export it again"
         out.append(Finding("frames.repeated", "fix", says))
-    if found := [t for t in skips(scales) if t not in cuts(steps)]:
+        apart |= {*found, *(t + 1 for t in found)}
+    if found := [t for t in skips(scales) if t not in apart]:
         most = max(scales[t] for t in found)
         says = (
             f"before frame {ranges(number[t] for t in found)} the picture moves {most:.1f} times as "
@@ -210,7 +218,8 @@ def tell_time(take: Take, steps: Sequence[Step], scales: Mapping[int, float]) ->
             f"a frame is missing there"
         )
         out.append(Finding("frames.skipped", "fix", says))
-    return out
+        apart |= {*found}
+    return out, apart
 
 
 def tell_edges(edges: Edges, grain: Grain, blender: bool) -> list[Finding]:
@@ -246,7 +255,7 @@ def tell_edges(edges: Edges, grain: Grain, blender: bool) -> list[Finding]:
 
 def tell_offset(take: Take, offset: int) -> tuple[list[Finding], int]:
     """Whether the vectors jump where another frame's depth does. `offset`: as claimed, 0 in `Take`."""
-    scores = {k: alignment(take, k) for k in (-1, 0, 1)}
+    scores = alignments(take, (-1, 0, 1))
     best = max(scores, key=lambda k: scores[k][0])
     if best == 0 or min(n for _, n in scores.values()) < 2:
         return [], 0
@@ -273,8 +282,8 @@ def tell_padding(take: Take) -> tuple[list[Finding], tuple[int, int] | None]:
     return [Finding("frames.padded", "fix", says)], (width - right, height - below)
 
 
-def tell_odd(take: Take, fields: Mapping[int, np.ndarray], shifts: Shifts | None) -> list[Finding]:
-    """Frames whose vectors are turned around, or missing, unlike those of the other frames."""
+def tell_odd(take: Take, fields: Mapping[int, np.ndarray], shifts: Shifts | None) -> tuple[list[Finding], set[int]]:
+    """Frames whose vectors are turned around, or missing, unlike those of the other frames; and which those are."""
     turned, empty = [], []
     for t in sorted(fields):
         v = fields[t]
@@ -283,7 +292,7 @@ def tell_odd(take: Take, fields: Mapping[int, np.ndarray], shifts: Shifts | None
             continue
         image = take.images[t].astype(np.float32)
         moving = np.abs(v).max(0) > 0.5
-        points = pick_points(textured(image), moving, 1500, t)
+        points = pick_points(image, moving, 1500, t)
         if len(points) < 100:
             continue
         pair = pair_of([image, take.images[t - 1].astype(np.float32)], 0, 1, points)
@@ -298,7 +307,7 @@ def tell_odd(take: Take, fields: Mapping[int, np.ndarray], shifts: Shifts | None
             errors[sign] = float(misfit(pair, sign * d[0] + dx, sign * d[1] + dy).mean())
         if errors[-1] < 0.75 * errors[1]:
             turned.append(t)
-    out = []
+    out, apart = [], set[int]()
     usable = len(fields)
     if turned and len(turned) <= usable // 3:
         says = (
@@ -306,6 +315,7 @@ def tell_odd(take: Take, fields: Mapping[int, np.ndarray], shifts: Shifts | None
             "those of the other frames (they point to the next frame?)"
         )
         out.append(Finding("motion.turned", "fix", says))
+        apart |= {*turned}
     if empty and len(empty) < usable:
         out.append(
             Finding(
@@ -315,4 +325,5 @@ def tell_odd(take: Take, fields: Mapping[int, np.ndarray], shifts: Shifts | None
                 "the other frames; export them again",
             )
         )
-    return out
+        apart |= {*empty}
+    return out, apart

@@ -26,7 +26,7 @@ from framecast.importers.settings import Motion
 SURE = 2.5
 """Votes (standard deviations) that make a difference count."""
 
-RATIO = 1.03
+RATIO = 1.05
 """Ratio of errors that makes a difference count."""
 
 EVEN = 1.15

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from framecast import exr
 from framecast.clip import ON_DISK, Record, open_clip
 from framecast.doctor.names import SPELLINGS, Held, by_content, by_name, named
 from framecast.exr import ClipError
@@ -18,6 +17,7 @@ from framecast.importers.blender import open_shot, ranges
 from framecast.importers.decode import decode_jitter
 from framecast.importers.folder import Found, Listing, open_folder
 from framecast.importers.passes import Pass, passes
+from framecast.importers.readings import fitting
 from framecast.importers.settings import (
     NAME,
     Color,
@@ -75,16 +75,16 @@ class Source:
             parts = []
             for file in self.files[name][number]:
                 path = self.path / file
-                if path.suffix.lower() == ".exr":
+                if path.suffix.lower() in (".exr", ".npz"):
                     if file not in opened:
-                        opened[file] = exr.read(path).channels
+                        opened[file] = images.channels(path)
                     channels = opened[file]
                     if lack := [c for c in told[name].channels if images.matching(list(channels), c) is None]:
                         raise ClipError(f"{path} lacks {', '.join(lack)}, which other files have; export it again")
                     parts += [channels[str(images.matching(list(channels), c))] for c in told[name].channels]
                 else:
                     parts += list(images.read(path, told[name].channels))
-            out[name] = np.stack(parts)
+            out[name] = images.stacked(path, told[name].channels, parts)
             if self.claim.bottom_up:
                 out[name] = out[name][:, ::-1]
             if self.claim.crop:
@@ -161,6 +161,7 @@ def _of_settings(listing: Listing, kind: str, found: Found) -> Source:
     records: tuple[Record, ...] = ()
     remark: tuple[str, ...] = ()
     try:
+        found = fitting(listing.folder, found)
         records = open_folder(listing.folder, found.settings, found.poses).records
     except ClipError as error:
         remark = (str(error),)

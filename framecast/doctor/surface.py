@@ -7,7 +7,12 @@ from itertools import product
 import numpy as np
 
 from framecast.doctor.camera import sky_of
+from framecast.doctor.probe import thinned
 from framecast.doctor.take import Take
+from framecast.importers.decode import AXES
+
+ENOUGH = 20_000
+"""Pixels of a frame whose normals are compared with the slopes of depth."""
 
 Signs = tuple[float, float, float]
 
@@ -24,17 +29,20 @@ class Normals:
     """Share of the pixels that hold a unit vector as they are, and as n / 2 + 1/2."""
     angles: Mapping[tuple[str, Signs], float]
     free: Mapping[str, float]
-    """Mean cosine after the best rotation of the world: `proper`, and `mirrored`, with one axis turned around."""
+    """The same after the best rotation of the world: `proper`, and `mirrored`, with one axis turned around."""
+    facing: Mapping[Signs, float]
+    """The same for normals of a world whose axes are those of the camera, by sign."""
     turning: float
     """Degrees by which the cameras are turned against the world: without it world and view are the same."""
     count: int
 
 
-def normals_of(take: Take, depths: Mapping[int, np.ndarray], tangent: float) -> Normals | None:
+def normals_of(take: Take, depths: Mapping[int, np.ndarray], tangent: float, axes: str = "opengl") -> Normals | None:
     """What the stored normals are; None where no frame has depth and normals with slopes.
 
     Args:
         depths: distance along the view axis `h w` by frame. tangent: of half the vertical field of view.
+        axes: those of the world that stored normals are in, see `Settings.axes`.
     """
     pairs, shares = [], []
     for t, z in depths.items():
@@ -53,28 +61,32 @@ def normals_of(take: Take, depths: Mapping[int, np.ndarray], tangent: float) -> 
     encoded = bool(encoded_share > plain_share)
     scores: dict[tuple[str, Signs], list[float]] = {}
     free: dict[str, list[float]] = {"proper": [], "mirrored": []}
+    facing: dict[Signs, list[float]] = {}
     turning, count = [], 0
     for t, v, slopes, where in pairs:
         n = (2 * v - 1 if encoded else v)[:, where].T.astype(np.float64)
+        some = slice(None, None, max(1, len(n) // ENOUGH))
+        n, slopes = n[some], slopes[some]
         n = n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-3)
         count += len(n)
         if len(n) < 300:
             continue
         view = take.records[t].view if "cameras" in take.recorded else None
-        turns = {"view": np.eye(3)} | ({} if view is None else {"world": np.asarray(view)[:3, :3]})
-        for space, turn in turns.items():
-            expected = slopes @ turn  # rows: world = view rotation transposed times camera
-            for sign in SIGNS:
-                scores.setdefault((space, sign), []).append(angle(n * sign, expected))
+        for sign in SIGNS:
+            world = (n * sign) @ AXES[axes].T
+            scores.setdefault(("view", sign), []).append(angle(n * sign, slopes))
+            facing.setdefault(sign, []).append(angle(world, slopes))
+            if view is not None:  # rows: world = view rotation transposed times camera
+                scores.setdefault(("world", sign), []).append(angle(world, slopes @ np.asarray(view)[:3, :3]))
         if view is not None:
-            turning.append(float(np.degrees(np.arccos(np.clip((np.trace(turns["world"]) - 1) / 2, -1, 1)))))
-        for name, agreement in zip(free, rotations(slopes, n), strict=True):
-            free[name].append(agreement)
+            turning.append(float(np.degrees(np.arccos(np.clip((np.trace(np.asarray(view)[:3, :3]) - 1) / 2, -1, 1)))))
+        for name, turn in zip(free, rotations(slopes, n @ AXES[axes].T), strict=True):
+            free[name].append(angle(n @ AXES[axes].T, slopes @ turn))
     if not scores:
         return None
-    mean = {key: float(np.mean(values)) for key, values in scores.items()}
     return Normals(
-        encoded, float(plain_share), float(encoded_share), mean, {k: float(np.mean(v)) for k, v in free.items()},
+        encoded, float(plain_share), float(encoded_share), {k: float(np.mean(v)) for k, v in scores.items()},
+        {k: float(np.mean(v)) for k, v in free.items()}, {k: float(np.mean(v)) for k, v in facing.items()},
         float(np.mean(turning)) if turning else 0.0, count,
     )  # fmt: skip
 
@@ -108,13 +120,12 @@ def facets(z: np.ndarray, solid: np.ndarray, tangent: float) -> tuple[np.ndarray
     return n[:, smooth].T, where
 
 
-def rotations(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-    """Mean cosine between vectors `n 3` after the best rotation, and after the best rotation with a reflection."""
-    u, s, v = np.linalg.svd(a.T @ b)
+def rotations(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rotation `a @ turn` that brings vectors `n 3` nearest to others, and the best one with a reflection."""
+    u, _, v = np.linalg.svd(a.T @ b)
     straight = np.sign(np.linalg.det(u) * np.linalg.det(v))
-    proper = s[0] + s[1] + straight * s[2]
-    mirrored = s[0] + s[1] - straight * s[2]
-    return float(proper / len(a)), float(mirrored / len(a))
+    proper, mirrored = (u @ np.diag([1, 1, sign]) @ v for sign in (straight, -straight))
+    return proper, mirrored
 
 
 @dataclass(frozen=True)
@@ -157,12 +168,15 @@ def albedo_edges(take: Take, t: int) -> np.ndarray:
         return np.zeros(0)
     out = []
     for axis in (1, 2):
-        (a, b), (c, d) = apart(albedo, axis), apart(color, axis)
+        some = (
+            (slice(None), slice(None), thinned(color.shape[2])) if axis == 1 else (slice(None), thinned(color.shape[1]))
+        )
+        (a, b), (c, d) = apart(albedo[some], axis), apart(color[some], axis)
         jump, change, low = np.log(a / b), np.log(c / d), np.minimum(a, b)
         use = (np.abs(jump) > 0.35) & (low > 0.1)
         for name, most in (("depth", 0.02), ("normal", 0.05)):
             if name in stored and stored[name].shape[1:] == color.shape[1:]:
-                a, b = apart(np.nan_to_num(stored[name].astype(np.float64), posinf=1e9), axis)
+                a, b = apart(np.nan_to_num(stored[name][some].astype(np.float64), posinf=1e9), axis)
                 size = 1.0 if name == "normal" else np.maximum(np.abs(b), 1e-9)
                 use &= (np.abs(a - b) / size).max(0) < most
         out.append((change / np.where(use, jump, 1))[use])
@@ -171,5 +185,4 @@ def albedo_edges(take: Take, t: int) -> np.ndarray:
 
 def apart(plane: np.ndarray, axis: int, step: int = 3) -> tuple[np.ndarray, np.ndarray]:
     """Values `step` pixels further along an axis, and the values here."""
-    count = plane.shape[axis] - step
-    return plane.take(range(step, count + step), axis), plane.take(range(count), axis)
+    return (plane[:, step:], plane[:, :-step]) if axis == 1 else (plane[:, :, step:], plane[:, :, :-step])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from framecast.doctor.motion import Reading, Shifts, displacement, resampled
-from framecast.doctor.probe import pair_of, pick_points, sample, textured
+from framecast.doctor.probe import pair_of, pick_points, sample
 from framecast.doctor.take import Take
 
 BRIGHT = -0.7
@@ -39,7 +39,7 @@ def step_of(take: Take, t: int, reading: Reading, shifts: Shifts | None) -> Step
     """Frame `t` against the one before; None without texture."""
     image, other = take.images[t].astype(np.float32), take.images[t - 1].astype(np.float32)
     everywhere = np.ones(take.size, bool)
-    points = pick_points(textured(image), everywhere, 3000, t)
+    points = pick_points(image, everywhere, 3000, t)
     if len(points) < 50:
         return None
     pair = pair_of([image, other], 0, 1, points)

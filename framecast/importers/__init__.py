@@ -19,7 +19,7 @@ from framecast.frame import BUFFERS
 from framecast.importers import arm, blender, extranet, images, mitsuba, mobfgsr, stssnet, unity, unreal
 from framecast.importers.folder import Listing, open_folder
 from framecast.importers.readings import fitting
-from framecast.importers.settings import NAME, read_settings
+from framecast.importers.settings import NAME, Settings, read_settings
 
 __all__ = ["SOURCES", "describe", "open_any", "repairs", "save"]
 
@@ -63,7 +63,8 @@ def open_any(
     if settings is not None and source not in (None, "generic"):
         raise ClipError(f"a settings file tells everything; leave --from {source} out, or the settings")
     if settings is not None or source == "generic" or (source is None and (folder / NAME).is_file()):
-        return open_folder(folder, read_settings(folder if settings is None else settings), fps=fps, repair=repair)
+        told = read_settings(folder) if settings is None else _beside(read_settings(settings), Path(settings))
+        return open_folder(folder, told, fps=fps, repair=repair)
     if source == "blender" or (source is None and _is_blenders(folder)):
         return blender.open_shot(folder, fps=fps, repair=repair)
     listing = Listing(folder)
@@ -74,6 +75,15 @@ def open_any(
             fitted = fitting(folder, found)
             return open_folder(folder, fitted.settings, fitted.poses, fps=fps, repair=repair)
     raise ClipError(_unrecognised(listing, source))
+
+
+def _beside(settings: Settings, path: Path) -> Settings:
+    """With the file of cameras that lies beside a settings file, if there is one, in place of one in the folder."""
+    cameras = settings.cameras
+    if cameras is None or cameras.file is None:
+        return settings
+    near = (path if path.is_dir() else path.parent) / cameras.file
+    return replace(settings, cameras=replace(cameras, file=str(near.resolve()))) if near.is_file() else settings
 
 
 def _is_blenders(folder: Path) -> bool:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from framecast.clip import Matrix
+from framecast.clip import Matrix, Record
 from framecast.exr import ClipError
 from framecast.frame import perspective
 from framecast.importers.decode import AXES
@@ -107,6 +107,19 @@ def _view(row: Mapping[str, Any], axes: str, scale: float) -> Matrix | None:
     turned[:3, :3] /= stretch[:, None]
     turned[:3, 3] = facing @ view[:3, 3] / stretch * scale
     return rows(turned)
+
+
+def posed(records: Sequence[Record], axes: str) -> dict[str, Any]:
+    """What a file says from which `read_poses` reads the cameras of these records again; all of them have one."""
+    frames = []
+    for record in records:
+        view = np.asarray(record.view, np.float64)
+        stored = np.eye(4)
+        stored[:3, :3] = FACING[axes].T @ view[:3, :3] @ AXES[axes]
+        stored[:3, 3] = FACING[axes].T @ view[:3, 3]
+        row: dict[str, Any] = {"frame": record.number, "view": stored.tolist(), "projection": record.projection}
+        frames.append(row | {"cut": True} if record.cut else row)
+    return {"frames": frames}
 
 
 def rows(matrix: Float[np.ndarray, "4 4"]) -> Matrix:

@@ -55,7 +55,7 @@ class Dump:
                 if file not in opened:
                     opened[file] = images.channels(path)
                 parts += [opened[file][images.found(path, channel, opened[file])] for channel in layer.channels]
-            out |= {name: np.stack(parts)} if parts else {}
+            out |= {name: images.stacked(path, layer.channels, parts)} if parts else {}
         return out
 
     def decoded(self, stored: Layers, record: Record, settings: Settings | None = None) -> Layers:
@@ -198,8 +198,8 @@ def _checked(
                 seen[file] = images.about(folder / file)
             about = seen[file]
             first = first or about
-            if about.size != first.size:
-                (h, w), (height, width) = about.size, first.size
+            if about.size_of(layer.channels[0]) != first.size_of(layer.channels[0]):
+                (h, w), (height, width) = about.size_of(layer.channels[0]), first.size_of(layer.channels[0])
                 raise ClipError(
                     f"{folder}: {file} is {w}x{h} but the first one is {width}x{height}; "
                     f"all frames of a shot need one size, put the shots into separate folders"
@@ -214,7 +214,7 @@ def _checked(
             f"{folder}: {name} is stored in 8 bits, whose 256 steps are too coarse; export 16 or 32 bits (EXR), "
             f"or leave {name} out of the settings"
         )
-    return first.size
+    return first.size_of(layer.channels[0])
 
 
 def _poses(folder: Path, settings: Settings, size: tuple[int, int]) -> dict[int, Pose]:

@@ -1,13 +1,14 @@
 """Image files of any kind as named channels: EXR, PNG, JPEG, npy and npz.
 
 EXR channels keep their names and numbers; 8 and 16-bit pixels become 0..1; the last axis of an array holds its
-channels, named 0, 1, 2 ...
+channels, named 0, 1, 2 ..., after the array's own name where an npz file holds several: depth.0, motion.0, motion.1.
 """
 
 import warnings
 import zipfile
+import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -36,6 +37,12 @@ class About:
     """Bits of a channel: 8 and 16 for PNG and JPEG, 32 for everything that is stored as it is."""
     text: dict[str, str]
     """Text attributes of an EXR file."""
+    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """Height and width of channels that differ from `size`."""
+
+    def size_of(self, channel: str) -> tuple[int, int]:
+        """Height and width of a channel, its name in any case."""
+        return self.sizes.get(matching(self.names, channel) or channel, self.size)
 
 
 def about(path: Path) -> About:
@@ -46,10 +53,11 @@ def about(path: Path) -> About:
     """
     if path.suffix.lower() == ".exr":
         header = exr.header(path)
-        return About(header.size, header.names, 32, header.attributes)
+        return About(header.size, header.names, 32, header.attributes, header.reduced)
     if path.suffix.lower() in (".npy", ".npz"):
-        height, width, count = _array(path).shape
-        return About((height, width), tuple(map(str, range(count))), 32, {})
+        sizes = {name: (plane.shape[0], plane.shape[1]) for name, plane in _arrays(path).items()}
+        largest = max(sizes.values())
+        return About(largest, tuple(sizes), 32, {}, {name: size for name, size in sizes.items() if size != largest})
     with _opened(path) as image:
         bits = 16 if _is_16_bit(path, image) else 8
         return About((image.height, image.width), tuple(_letters(image)), bits, {})
@@ -62,10 +70,9 @@ def channels(path: Path) -> dict[str, Num[np.ndarray, "h w"]]:
         FileNotFoundError: no such file. ClipError: it cannot be read.
     """
     if path.suffix.lower() == ".exr":
-        return exr.read(path).channels
+        return exr.read(path, mixed=True).channels
     if path.suffix.lower() in (".npy", ".npz"):
-        pixels = _array(path)
-        return {str(place): pixels[:, :, place] for place in range(pixels.shape[2])}
+        return _arrays(path)
     pixels, names = _pixels(path)
     return {name: pixels[:, :, place] for place, name in enumerate(names)}
 
@@ -77,7 +84,17 @@ def read(path: Path, names: Sequence[str]) -> Num[np.ndarray, "n h w"]:
         FileNotFoundError: no such file. ClipError: it cannot be read, or lacks a channel.
     """
     held = channels(path)
-    return np.stack([held[found(path, name, held)] for name in names])
+    return stacked(path, names, [held[found(path, name, held)] for name in names])
+
+
+def stacked(path: Path, names: Sequence[str], planes: Sequence[np.ndarray]) -> Num[np.ndarray, "n h w"]:
+    """Channels of one buffer in one array; raises ClipError where they differ in size."""
+    if len({plane.shape for plane in planes}) > 1:
+        sizes = ", ".join(
+            f"{name} {plane.shape[1]}x{plane.shape[0]}" for name, plane in zip(names, planes, strict=True)
+        )
+        raise ClipError(f"{path}: channels of one buffer differ in size ({sizes}); export them alike")
+    return np.stack(planes)
 
 
 def found(path: Path, name: str, held: Collection[str]) -> str:
@@ -101,7 +118,8 @@ def short(names: Sequence[str]) -> str:
 
 
 def _refused(path: Path, error: Exception) -> ClipError:
-    return ClipError(f"{path} cannot be read ({type(error).__name__}: {error}); export or copy it again")
+    why = " ".join(str(error).split())
+    return ClipError(f"{path} cannot be read ({type(error).__name__}: {why}); export or copy it again")
 
 
 def _opened(path: Path) -> Image.Image:
@@ -150,35 +168,39 @@ def _deep(path: Path, letters: str) -> tuple[np.ndarray, list[str]]:
     return pixels, list(letters) if len(letters) == pixels.shape[2] else list("RGBA")
 
 
-def _array(path: Path) -> np.ndarray:
-    """The one array of a file, `h w c`; nothing but numbers is ever unpickled."""
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    """Planes `h w` of every array of a file; nothing but numbers is ever unpickled."""
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist")
-    load: Callable[[Path], np.ndarray] = _archived if path.suffix.lower() == ".npz" else _mapped
+    load: Callable[[Path], dict[str, np.ndarray]] = _archived if path.suffix.lower() == ".npz" else _mapped
     try:
-        values = load(path)
-    except (OSError, ValueError, EOFError, KeyError, SyntaxError, MemoryError, zipfile.BadZipFile) as error:
+        held = load(path)
+    except (OSError, ValueError, EOFError, KeyError, SyntaxError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
         raise _refused(path, error) from error
-    if values.dtype.kind not in "fiub" or values.ndim not in (2, 3) or 0 in values.shape:
-        raise ClipError(
-            f"{path} holds {values.dtype} of shape {values.shape}; it needs numbers, height x width x channels"
-        )
-    return values.reshape(*values.shape[:2], -1)
+    pictures = {name: a for name, a in held.items() if a.dtype.kind in "fiub" and a.ndim in (2, 3) and a.size}
+    if not pictures:
+        found = "; ".join(f"{name or 'it'} is {a.dtype} of shape {a.shape}" for name, a in list(held.items())[:4])
+        raise ClipError(f"{path} holds no picture ({found}); it needs numbers, height x width x channels")
+    alone = len(pictures) == 1
+    planes = {}
+    for name, values in pictures.items():
+        values = values.reshape(*values.shape[:2], -1)
+        for place in range(values.shape[2]):
+            planes[str(place) if alone else f"{name}.{place}"] = values[:, :, place]
+    return planes
 
 
-def _mapped(path: Path) -> np.ndarray:
-    return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+def _mapped(path: Path) -> dict[str, np.ndarray]:
+    return {"": np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))}
 
 
-def _archived(path: Path) -> np.ndarray:
+def _archived(path: Path) -> dict[str, np.ndarray]:
     with zipfile.ZipFile(path) as archive:
         held = sum(entry.file_size for entry in archive.infolist())
     if held > LARGEST:
         raise ValueError(f"{held} bytes when unpacked")
     with np.load(path, allow_pickle=False) as arrays:
-        if len(arrays.files) != 1:
-            raise ValueError(f"{len(arrays.files)} arrays in place of one")
-        return np.asarray(arrays[arrays.files[0]])
+        return {name: np.asarray(arrays[name]) for name in arrays.files}
 
 
 def write(path: Path, channels: Mapping[str, np.ndarray]) -> None:
