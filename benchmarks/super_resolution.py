@@ -1,123 +1,155 @@
-"""How fast frames are made larger, beside OpenCV's resize.
+"""Super-resolution in numbers: quality on clips with references, laws of known pictures, speed; as a markdown page.
 
-    python benchmarks/super_resolution.py [--repeats 20] [--methods bilinear,lanczos,taau,fsr2] [--sizes 320x180*3]
+    python benchmarks/super_resolution.py quality CLIP... [--native FOLDER]
+    python benchmarks/super_resolution.py laws CLIP...
+    python benchmarks/super_resolution.py speed [--sizes 640x360*2] [--threads 2]
 
-The moving scene of `framecast.bench`, jittered, from 640x360 to 1280x720 and to 1920x1080. All methods take turns
-within one process, so that their ratios hold on a busy machine. Prints medians and quartiles in milliseconds, the
-ratio to OpenCV's bicubic resize, and the most memory in use.
+Each writes its part of docs/results/super-resolution.md and leaves the others as they are.
 """
 
-import statistics
-import time as clock
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
-import cv2
-import numpy as np
-import torch
+import super_resolution_laws as laws_of
+import super_resolution_speed as speed_of
 import tyro
-from rich.console import Console
-from rich.table import Table
+from quality import TITLES, table
 
-from framecast.bench import peak_memory, reset_peak_memory
-from framecast.fit import method_named
-from framecast.frame import Frame
-from framecast.provenance import machine
-from framecast.resample import size_at
-from framecast.runtime import compiled
-from framecast.sample import scene
+from framecast import __version__, exr
+from framecast.clip import open_clip
+from framecast.evaluate import Settings, evaluate_clip, labels
+from framecast.results import Row, read_results, with_means, write_results
 
-WARM = 4
-"""Frames that run before anything is timed."""
-
-
-def frames(size: tuple[int, int]) -> list[Frame]:
-    """The first moments of the scene."""
-    return [scene(float(t), *size, span=1.0) for t in range(WARM + 1)]
+PAGE = Path("docs/results/super-resolution.md")
+ROWS = PAGE.with_suffix(".json")
+SINGLE = ("bilinear", "lanczos")
+TEMPORAL = ("taau", "fsr2", "nsrr", "mnss", "mobfgsr")
+METRICS = ("psnr", "ssim", "flip", "flicker")
+TITLE = "# Super-resolution"
 
 
-def prepared(name: str, clip: list[Frame], scale: float, fast: bool) -> tuple[Callable[[], object], float]:
-    """A call that makes one more image, from the state after the frames before; and the memory of those frames, MB."""
-    method = method_named(name, scale).eval()
-    call = compiled(method) if fast else method
-    state = call.start(clip[0])
-    reset_peak_memory("cpu")
-    with torch.no_grad():
-        for frame in clip[:-1]:
-            _, state = call(frame, state)
-    return (lambda: call(clip[-1], state)), peak_memory("cpu")
-
-
-def resized(clip: list[Frame], scale: float, how: int) -> Callable[[], object]:
-    """OpenCV's resize of the last frame."""
-    assert clip[-1].color is not None
-    image = np.ascontiguousarray(clip[-1].color[0].permute(1, 2, 0).numpy())
-    height, width = size_at(image.shape[:2], scale)
-    return lambda: cv2.resize(image, (width, height), interpolation=how)
-
-
-def measured(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:
-    """Milliseconds of each call, all of them in turn."""
-    found: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(repeats):
-        for name, call in calls.items():
-            started = clock.perf_counter()
-            with torch.no_grad():
-                call()
-            found[name].append((clock.perf_counter() - started) * 1e3)
-    return found
-
-
-def main(
-    repeats: int = 20,
-    methods: str = "bilinear,lanczos,taau,fsr2",
-    sizes: str = "640x360*2,640x360*3",
-    compiled: bool = True,
-    threads: int | None = None,
+def quality(
+    clips: tyro.conf.Positional[tuple[Path, ...]],
+    native: Path | None = None,
+    methods: str = ",".join((*SINGLE, *TEMPORAL)),
+    json: Path = ROWS,
+    page: Path = PAGE,
 ) -> None:
-    """Measure and print.
+    """Every method on clips with references twice as large as their frames.
 
     Args:
-        repeats: images that each method makes.
+        clips: clips that no network and no constant was trained or chosen on.
+        native: folder of the same clips (by name) rendered at the size of the references, for `taa`.
         methods: names separated by commas.
-        sizes: width x height * scale, separated by commas.
-        compiled: compiled methods, too.
-        threads: CPU threads; by default as many as PyTorch takes.
+        json: file for the rows; those that it holds are not measured again.
+        page: the markdown page.
     """
-    if threads is not None:
-        torch.set_num_threads(threads)
-        cv2.setNumThreads(threads)
-    console = Console()
-    console.print(", ".join(f"{k} {v}" for k, v in machine().items()), highlight=False)
-    for entry in sizes.split(","):
-        size, _, factor = entry.partition("*")
-        width, height = (int(side) for side in size.split("x"))
-        console.print(table(entry, (height, width), float(factor), methods.split(","), compiled, repeats))
+    opened = [open_clip(path) for path in clips]
+    rows = read_results(json) if json.is_file() else []
+    settings = Settings(METRICS, scale=2.0)
+    for clip, label in zip(opened, labels(opened), strict=True):
+        wanted = [(name, name, "pass") for name in methods.split(",")]
+        if "mobfgsr" in methods.split(","):
+            wanted += [("mobfgsr", f"mobfgsr, {mode}d", mode) for mode in ("interpolate", "extrapolate")]
+        if native is not None:
+            wanted.append(("taa", "taa at native size", "pass"))
+        for name, called, mode in wanted:
+            if any((row.method, row.clip) == (called, label) for row in rows):
+                continue
+            seen, how = (
+                (clip, settings) if name != "taa" else (native_clip(native, label), replace(settings, scale=1.0))
+            )  # type: ignore[arg-type]
+            found = evaluate_clip(seen, label, name, mode, how)  # type: ignore[arg-type]
+            role = "shaded" if mode == "pass" else "generated"
+            rows += [replace(row, method=called) for row in found if row.role == role]
+            write_results(json, rows)
+            print(f"{called} on {label}: done", flush=True)
+    sizes = [
+        f"- {label}: {c.size[1]}x{c.size[0]}, {len(c)} frames" for label, c in zip(labels(opened), opened, strict=True)
+    ]
+    write(
+        page,
+        "Quality",
+        [
+            "PSNR / SSIM / FLIP / flicker against references of twice the size (the best in bold).",
+            "",
+            *sizes,
+            *parts(rows),
+        ],
+    )
 
 
-def table(title: str, size: tuple[int, int], scale: float, methods: list[str], compiled: bool, repeats: int) -> Table:
-    """The results at one size."""
-    clip = frames(size)
-    calls = {
-        "cv2 cubic": resized(clip, scale, cv2.INTER_CUBIC),
-        "cv2 lanczos4": resized(clip, scale, cv2.INTER_LANCZOS4),
-    }
-    memory: dict[str, float] = {}
-    for name in methods:
-        for fast in (False, True) if compiled else (False,):
-            label = f"{name} {'compiled' if fast else 'eager'}"
-            calls[label], memory[label] = prepared(name, clip, scale, fast)
-    measured(calls, 2)
-    times = measured(calls, repeats)
-    made = Table(title=title)
-    for column in ("", "median ms", "quartiles", "of cv2 cubic", "peak MB"):
-        made.add_column(column, justify="left" if not column else "right")
-    base = statistics.median(times["cv2 cubic"])
-    for label, values in times.items():
-        low, middle, high = statistics.quantiles(values, n=4, method="inclusive")
-        peak = f"{memory[label]:.0f}" if label in memory else ""
-        made.add_row(label, f"{middle:.2f}", f"{low:.2f} - {high:.2f}", f"{middle / base:.1f}", peak)
-    return made
+def native_clip(folder: Path, name: str) -> object:
+    """The clip at display size; its frames are compared with references of the same size."""
+    return replace(open_clip(folder / name), scale=1.0)
+
+
+def parts(rows: Sequence[Row]) -> list[str]:
+    """Tables of all pixels, of disoccluded ones, and of times."""
+    several = with_means(rows) if len({row.clip for row in rows}) > 1 else list(rows)
+    lines: list[str] = []
+    for region in ("all", "disoccluded"):
+        part = [row for row in several if row.region == region]
+        lines += ["", f"### {TITLES[region].capitalize()}", "", *table(part, METRICS)]
+    return [*lines, "", "### Milliseconds a frame, eager", "", *table(several, ("milliseconds",))]
+
+
+def laws(clips: tyro.conf.Positional[tuple[Path, ...]], page: Path = PAGE) -> None:
+    """Known pictures: a still one, a wire in motion, and repeated moves of the clips' references.
+
+    Args:
+        clips: clips with references.
+        page: the markdown page.
+    """
+    lines = ["A still picture, error (root mean square, as displayed) after some frames, and the most by which any"]
+    lines += ["pixel changes over a whole period of the jitter after the 64th:", ""]
+    lines += laws_of.still(("taa", *TEMPORAL))
+    lines += [
+        "",
+        f"A dark wire, three quarters of a display pixel thick, moves by {laws_of.SPEED} pixels a frame. Its contrast",
+    ]
+    lines += ["as displayed, 0.55 where it is wholly seen:", "", *laws_of.thin((*SINGLE, *TEMPORAL))]
+    lines += [
+        "",
+        "References moved eight times by half a pixel, there and back:",
+        "",
+        *laws_of.moves([open_clip(p) for p in clips]),
+    ]
+    write(page, "Laws", lines)
+
+
+def speed(
+    sizes: str = "640x360*2",
+    methods: str = ",".join((*SINGLE, *TEMPORAL)),
+    repeats: int = 20,
+    threads: int = 2,
+    compiled: bool = True,
+    page: Path = PAGE,
+) -> None:
+    """Milliseconds of one more image, beside OpenCV's resize, and memory.
+
+    Args:
+        sizes: width x height * scale, separated by commas.
+        methods: names separated by commas.
+        repeats: images that each method makes.
+        threads: CPU threads.
+        compiled: compiled methods, too.
+        page: the markdown page.
+    """
+    write(page, "Speed", speed_of.compared(sizes, methods.split(","), repeats, threads, compiled))
+
+
+def write(page: Path, title: str, lines: Sequence[str]) -> None:
+    """One part of the page, the others as they are."""
+    text = page.read_text() if page.is_file() else TITLE
+    head, *found = text.split("\n## ")
+    parts = {part.partition("\n")[0]: part.partition("\n")[2].strip() for part in found}
+    parts[title] = "\n".join([f"framecast {__version__}.", "", *lines])
+    with exr.whole(page) as temporary:
+        temporary.write_text("\n\n## ".join([head.strip(), *(f"{t}\n\n{body}" for t, body in parts.items())]) + "\n")
+    print(f"{page}: {title}")
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    tyro.extras.subcommand_cli_from_dict({"quality": quality, "laws": laws, "speed": speed})

@@ -87,6 +87,7 @@ def truth(t: int, scale: float, picture: Picture = waves, *, speed: float = 0.0,
     return torch.nn.functional.avg_pool2d(values, fine)
 
 
+@torch.no_grad()
 def played(method: Any, frames: list[Frame]) -> list[torch.Tensor]:
     """The images of the frames."""
     state, images = method.start(frames[0]), []
@@ -96,6 +97,7 @@ def played(method: Any, frames: list[Frame]) -> list[torch.Tensor]:
     return images
 
 
+@torch.no_grad()
 def state_after(method: Any, frames: list[Frame]) -> Any:
     state = method.start(frames[0])
     for frame in frames:
@@ -189,7 +191,8 @@ def test_frame_and_state_stay_as_they_were(name: str) -> None:
     state = state_after(method, [shot(t, scale, speed=0.4) for t in range(3)])
     frame = shot(3, scale, speed=0.4)
     before = copy.deepcopy((frame, state))
-    method(frame, state)
+    with torch.no_grad():
+        method(frame, state)
     for was, now in zip(tree_leaves(before), tree_leaves((frame, state)), strict=True):
         assert torch.equal(was, now)
 
