@@ -13,6 +13,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from rich.console import Console
@@ -104,12 +105,8 @@ def on_cluster(wanted: Sequence[Task], address: str) -> Iterator[tuple[Task, lis
             "--ray needs Ray, which is not installed; install it: pip install 'framecast[cluster]'"
         ) from error
     try:
-        require_answer(address)
-        ray.init(address=address, include_dashboard=False if address == "local" else None, log_to_driver=False)
-    except (OSError, ValueError) as error:
-        raise ValueError(f"no Ray cluster answers at {address}; start one with: ray start --head") from error
-    remote = ray.remote(num_cpus=1)(perform)
-    try:
+        joined(ray, address)
+        remote = ray.remote(num_cpus=1)(perform)
         running = {remote.remote(task): task for task in wanted}
         while running:
             (done,), _ = ray.wait(list(running), num_returns=1)
@@ -118,6 +115,17 @@ def on_cluster(wanted: Sequence[Task], address: str) -> Iterator[tuple[Task, lis
         raise (error.cause or error) from None
     finally:
         ray.shutdown()
+
+
+def joined(ray: Any, address: str) -> None:
+    """Connects to a cluster, or starts one; raises ValueError where there is none."""
+    try:
+        require_answer(address)
+        ray.init(address=address, include_dashboard=False if address == "local" else None, log_to_driver=False)
+    except (OSError, ValueError, RuntimeError) as error:
+        if address == "local":
+            raise ValueError(f"Ray could not start a cluster here: {str(error).strip().partition(chr(10))[0]}") from error
+        raise ValueError(f"no Ray cluster answers at {address}; start one with: ray start --head") from error
 
 
 def require_answer(address: str) -> None:
