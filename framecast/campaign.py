@@ -122,9 +122,11 @@ def joined(ray: Any, address: str) -> None:
     try:
         require_answer(address)
         ray.init(address=address, include_dashboard=False if address == "local" else None, log_to_driver=False)
-    except (OSError, ValueError, RuntimeError) as error:
+    except Exception as error:  # Ray says so in exceptions of no kind of their own
         if address == "local":
-            raise ValueError(f"Ray could not start a cluster here: {str(error).strip().partition(chr(10))[0]}") from error
+            raise ValueError(
+                f"Ray could not start a cluster here: {str(error).strip().partition(chr(10))[0]}"
+            ) from error
         raise ValueError(f"no Ray cluster answers at {address}; start one with: ray start --head") from error
 
 
