@@ -13,10 +13,11 @@ from dataclasses import replace
 
 from torch import nn
 
-from framecast.methods import extranet, mnss, nsrr
+from framecast.methods import extranet, extrass, mnss, nsrr
 from framecast.methods.blend import Blend
 from framecast.methods.bsr import BSR
 from framecast.methods.extranet import ExtraNet
+from framecast.methods.extrass import ExtraSS
 from framecast.methods.filters import Bilinear, Lanczos
 from framecast.methods.fsr2 import FSR2
 from framecast.methods.guided import GuidedWarp
@@ -60,6 +61,7 @@ TRAINABLE: dict[str, tuple[Callable[[], nn.Module], Recipe]] = {
         lambda: ExtraNet(extranet.BETTER),
         replace(extranet.recipe, loss=extranet.loss_without_shading),
     ),
+    "extrass": (ExtraSS, extrass.recipe),
     "nsrr": (lambda: NSRR(nsrr.STEADY), nsrr.steady_recipe),
     "nsrr-five-frames": (lambda: NSRR(nsrr.FAST), nsrr.recipe),
     "mnss": (MNSS, mnss.recipe),
