@@ -294,10 +294,10 @@ def test_the_numbers_are_those_of_the_results(opened: Opened, file: Path) -> Non
     rows = [row for row in data_of(file)["rows"] if row["role"] == "generated"]
     table = opened.page.locator("table", has=opened.page.locator("caption", has_text="generated")).first
     head = table.locator("thead th").all_inner_texts()
-    assert head[:6] == ["method", "PSNR", "SSIM", "FLIP", "FLICKER", "PSNR\ndisoccluded"]
+    assert head[:7] == ["method", "PSNR", "SSIM", "FLIP", "WARPED", "FLICKER", "PSNR\ndisoccluded"]
     for line in table.locator("tbody tr").all():
         method, *cells = line.locator("th, td").all_inner_texts()
-        for title, cell in zip(head[1:6], cells, strict=False):
+        for title, cell in zip(head[1:7], cells, strict=False):
             metric, region = [*title.lower().split("\n"), "all"][:2]
             (told,) = [r["value"] for r in rows if (r["method"], r["metric"], r["region"]) == (method, metric, region)]
             assert cell == f"{told:.{2 if metric == 'psnr' else 4}f}"
