@@ -151,7 +151,7 @@ def _fov(buffers: Buffers) -> tuple[float, float] | None:
     if matrix is None or matrix[3][3] != 0:
         return None
     near = buffers.depth.near if buffers.depth and buffers.depth.near else _near(np.asarray(matrix))
-    return 2 * math.atan(1 / matrix[1][1]), near
+    return 2 * math.atan(1 / matrix[1][1]), float(f"{near:.6g}")
 
 
 def _near(p: np.ndarray) -> float:

@@ -42,6 +42,15 @@ def two_shots(folder: Path) -> None:
     shot(folder, stem="b_")
 
 
+def two_takes(folder: Path) -> None:
+    """One file a buffer, as Unity's recorder writes them, of two takes."""
+    for take in ("", "take2_"):
+        for number in (1, 2, 3):
+            for name, letters in (("Beauty", "RGB"), ("MotionVectors", "RG")):
+                planes = {c: RNG.uniform(0, 1, (24, 32)).astype(np.float32) for c in letters}
+                exr.write(folder / f"{take}{name}_{number:04d}.exr", planes)
+
+
 def torn(folder: Path) -> None:
     shot(folder)
     path = folder / "0002.exr"
@@ -60,6 +69,7 @@ REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     "one frame": (lambda f: shot(f, range(1, 2)), "holds one frame"),
     "two sizes": (two_sizes, "two shots"),
     "two shots": (two_shots, "2 shots"),
+    "two takes": (two_takes, "2 shots"),
     "torn": (torn, "truncated or damaged"),
     "no numbers": (no_numbers, "no numbered image file"),
     "no images": (only_text, "holds no image file"),

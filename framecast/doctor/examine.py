@@ -81,7 +81,7 @@ def examine(folder: Path | str) -> Examined:
     jittered = False
     if told.answer is not None and told.motion is not None and len(shake.measured) >= 2:
         every = fields_of(take, told, take.pairs)
-        said, jitter, jittered = tell_jitter(take, shake, every, settings.jitter)
+        said, jitter, jittered = tell_jitter(take, shake, every, settings.jitter, partial=bool(told.lacks))
         findings += said
         settings = replace(settings, jitter=jitter)
     if told.motion is not None and settings.motion is not None:

@@ -46,7 +46,8 @@ def draw(examined: Examined, path: Path) -> Path:
     columns = []
     overlays = [overlay(image, before, v) for v in (first, second)]
     errors = [np.abs(image - fetched(before, v)).mean(0) for v in (first, second)]
-    place = _worst(np.abs(errors[0] - errors[1]))
+    apart = np.abs(errors[0] - errors[1])
+    place = _worst(apart if apart.max() > 1e-3 else errors[1])
     for name, picture, error in zip(names, overlays, errors, strict=True):
         columns.append(_column(picture, place, f"{name}: error {np.minimum(error, 1).mean():.3f}"))
     with whole(path) as temporary:

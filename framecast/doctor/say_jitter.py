@@ -17,12 +17,13 @@ give 0.4, vectors that are not exact a tenth."""
 
 
 def tell_jitter(
-    take: Take, shake: Shake, fields: Mapping[int, np.ndarray], claim: Jitter
+    take: Take, shake: Shake, fields: Mapping[int, np.ndarray], claim: Jitter, *, partial: bool = False
 ) -> tuple[list[Finding], Jitter, bool]:
     """Findings, how to read the jitter, and whether the vectors hold it.
 
     Args:
         fields: vectors `2 h w` in pixels towards the previous frame.
+        partial: vectors are missing in a good part of the picture, so that shifts are those of some objects.
     """
     recorded = "jitter" in take.recorded
     inside = inner_shake(take, fields)
@@ -50,6 +51,9 @@ def tell_jitter(
             claim,
             False,
         )
+    if partial and shake.sequence is None and not shake.follows_record:
+        words = "whether the picture shakes cannot be told while vectors are missing where only the camera moves"
+        return [Finding("jitter.open", "unknown", words)], claim, False
     if recorded:
         return _against_record(take, shake, claim)
     if shake.sequence is not None:

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from framecast.clip import ON_DISK, Record, open_clip
-from framecast.doctor.names import SPELLINGS, Held, by_content, by_name, named
+from framecast.doctor.names import SPELLINGS, WORDS, Held, by_content, by_name, named
 from framecast.exr import ClipError
 from framecast.importers import SOURCES, images
 from framecast.importers.blender import open_shot, ranges
 from framecast.importers.decode import decode_jitter
 from framecast.importers.folder import Found, Listing, open_folder
-from framecast.importers.passes import Pass, passes
+from framecast.importers.passes import Pass, passes, plain
 from framecast.importers.readings import fitting
 from framecast.importers.settings import (
     NAME,
@@ -112,6 +112,8 @@ def open_source(folder: Path | str) -> Source:
         return _of_blender(listing, held)
     for name, module in SOURCES.items():
         if found := module.recognise(listing):
+            if name in ("unity", "unreal"):  # they look for the ends of names, data sets for whole ones
+                _refuse_two_shots(listing, held)
             return _of_settings(listing, name, found)
     return _unknown(listing, held)
 
@@ -196,15 +198,26 @@ def _claimed(found: Mapping[str, Held]) -> Settings:
 
 
 def _refuse_two_shots(listing: Listing, held: Sequence[Pass]) -> None:
-    """Two patterns in one folder that both hold whole shots (colour and vectors in the same files)."""
-    whole = []
-    for pattern in dict.fromkeys(p.pattern for p in held):
-        roles = {named(p) for p in held if p.pattern == pattern}
-        if {"color", "motion"} <= roles:
-            whole.append(pattern)
+    """Two shots in one folder: colour and vectors in the same files or in files called alike, more than once."""
+    roles: dict[str, set[str]] = {}
+    names: dict[str, str] = {}
+    told = [(p, role) for p in held if (role := named(p)) in ("color", "motion")]
+    for p, role in told:
+        alone = all(other == role for q, other in told if q.pattern == p.pattern)
+        rest = _without_word(p, str(role)) if alone else p.pattern
+        roles.setdefault(rest, set()).add(str(role))
+        names.setdefault(rest, p.pattern)
+    whole = [names[rest] for rest, found in roles.items() if found == {"color", "motion"}]
     if len(whole) > 1:
         each = " and ".join(f"{p} {ranges(listing.numbered(p))}" for p in whole[:3])
         raise ClipError(f"{listing.folder} holds {len(whole)} shots ({each}); put each into a folder of its own")
+
+
+def _without_word(held: Pass, role: str) -> str:
+    """A pattern without the word that names its buffer, so that one shot's files are alike."""
+    pattern = held.pattern.lower()
+    word = next((word for word in WORDS[role] if word in plain(pattern)), "")
+    return plain(pattern).replace(word, "", 1)
 
 
 def _by_content(listing: Listing, held: Sequence[Pass], found: Mapping[str, Held]) -> dict[str, Held]:
@@ -256,7 +269,9 @@ def _source(
     if "color" not in files:
         raise ClipError(f"{listing.folder} has no colour; the doctor compares pictures, export the beauty pass")
     numbers = tuple(sorted(files["color"]))
-    remarks = [*remarks, *_holes(files, numbers)]
+    holes = _holes(files, numbers)
+    again = (*holes, "stored in 8 bits")  # what importers refuse, and what is found here anyway
+    remarks = [*(remark for remark in remarks if not any(text in remark for text in again)), *holes]
     by_number = {r.number: r for r in records}
     made = tuple(by_number.get(n) or _plain_record(n, i, numbers, claim, listing) for i, n in enumerate(numbers))
     return Source(

@@ -52,8 +52,8 @@ def recognise(listing: Listing) -> Found | None:
 
 def _movie(listing: Listing, held: Sequence[Pass]) -> Found | None:
     ours = [p for p in held if "movierenderqueue" in p.label]
-    motion = _containing(ours, "movierenderqueuemotionvectors")
-    depth = _containing(ours, "movierenderqueueworlddepth")
+    motion = _containing(ours, "movierenderqueuemotionvectors", "RG")
+    depth = _containing(ours, "movierenderqueueworlddepth", "R")
     if motion is None and depth is None:
         return None
     color = find([p for p in held if p not in ours], ("finalimage", "beauty", ""), ("RGB",))
@@ -70,9 +70,9 @@ def _movie(listing: Listing, held: Sequence[Pass]) -> Found | None:
     return Found(settings, _header_poses(listing, (depth or motion or held[0]).pattern, size), readings[1:])
 
 
-def _containing(held: Sequence[Pass], word: str) -> Pass | None:
+def _containing(held: Sequence[Pass], word: str, letters: str) -> Pass | None:
     """A camera's name may follow the name of the pass."""
-    return next((p for p in held if word in p.label and {"R", "G"} <= set(p.letters)), None)
+    return next((p for p in held if word in p.label and set(letters) <= set(p.letters)), None)
 
 
 def _readings(motion: Pass) -> list[Motion]:
