@@ -137,7 +137,16 @@ def speed(
         compiled: compiled methods, too.
         page: the markdown page.
     """
-    write(page, "Speed", speed_of.compared(sizes, methods.split(","), repeats, threads, compiled))
+    lines = speed_of.compared(sizes, methods.split(","), repeats, threads, compiled)
+    if compiled:
+        width, height = (int(side) for side in sizes.split("*")[0].split("x"))
+        lines += [
+            "",
+            f"### One read of a {width}x{height} image, compiled",
+            "",
+            *speed_of.reads((height, width), repeats),
+        ]
+    write(page, "Speed", lines)
 
 
 def write(page: Path, title: str, lines: Sequence[str]) -> None:

@@ -16,9 +16,11 @@ from framecast.bench import peak_memory, reset_peak_memory
 from framecast.fit import method_named
 from framecast.frame import Frame
 from framecast.provenance import machine
-from framecast.resample import size_at
-from framecast.runtime import compiled
+from framecast.resample import sharp_warp, size_at
+from framecast.runtime import OPTIONS, compiled
 from framecast.sample import scene
+from framecast.table import resample, shipped_table
+from framecast.warp import warp
 
 WARM = 4
 """Frames that run before anything is timed."""
@@ -81,6 +83,38 @@ def compared(sizes: str, methods: Sequence[str], repeats: int, threads: int, fas
             growth.setdefault(name, {})[width * height] = statistics.median(values)
     if len(sizes.split(",")) > 1:
         lines += ["", "### Nanoseconds for each shaded pixel, at each of these sizes", "", *linear(growth)]
+    return lines
+
+
+def reads(size: tuple[int, int], repeats: int) -> list[str]:
+    """Markdown: one compiled read of an image along motion: bilinear, by Catmull-Rom, and through the learned table.
+
+    Ratios are of neighbours in time: the median of each call's time by that of the Catmull-Rom call in its turn.
+    """
+    height, width = size
+    image, motion = torch.rand(1, 3, height, width), torch.randn(1, 2, height, width) * 0.3 + 3.3
+    table = shipped_table()
+    ways: dict[str, Callable[[], object]] = {
+        "bilinear": lambda: warp(image, motion),
+        "Catmull-Rom": lambda: sharp_warp(image, motion, bounded=False),
+        "learned table": lambda: resample(image, motion, table),
+        "Catmull-Rom, bounded": lambda: sharp_warp(image, motion),
+        "learned table, bounded": lambda: resample(image, motion, table, bounded=True),
+    }
+    calls: dict[str, Callable[[], object]] = {}
+    seconds: dict[str, float] = {}
+    for name, way in ways.items():
+        calls[name] = torch.compile(way, dynamic=False, options=OPTIONS)
+        started = clock.perf_counter()
+        made, expected = calls[name](), way()
+        seconds[name] = clock.perf_counter() - started
+        torch.testing.assert_close(made, expected, atol=5e-3, rtol=0)
+    measured(calls, 2)
+    times = measured(calls, repeats)
+    lines = ["| read by | median ms | of Catmull-Rom | seconds to compile |", "|---" + "|---:" * 3 + "|"]
+    for name, values in times.items():
+        ratio = statistics.median(a / b for a, b in zip(values, times["Catmull-Rom"], strict=True))
+        lines.append(f"| {name} | {statistics.median(values):.2f} | {ratio:.2f} | {seconds[name]:.1f} |")
     return lines
 
 
