@@ -33,4 +33,5 @@ done
 
 framecast train extranet --clips "$out/clips/train/*" --out "$out/run" --steps "$steps" --batch 4 --crop 128 \
   --device "$device"
-framecast evaluate "$out"/clips/test/* --mode extrapolate --methods warp,warp-occlusion --json "$out/results.json"
+framecast evaluate "$out"/clips/test/* --mode extrapolate \
+  --methods "warp,warp-occlusion,extranet=$out/run/weights.safetensors" --json "$out/results.json"

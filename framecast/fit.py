@@ -1,11 +1,13 @@
 """Which methods can run on which clip, and what to do where one cannot."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+from framecast.checkpoint import fill
 from framecast.clip import Clip, ClipError
-from framecast.methods import METHODS
+from framecast.methods import METHODS, TRAINABLE
 from framecast.runtime import Mode
 
 Method = Any
@@ -24,10 +26,16 @@ PASSES = {
 
 
 def method_named(name: str, scale: float | None = None) -> Method:
-    """A new instance of a method for a scale (by default its own), or one sentence on what there is."""
-    if name not in METHODS:
-        raise ValueError(f"there is no method {name!r}; use one of {', '.join(METHODS)}")
-    method: Method = METHODS[name]()
+    """A new instance of a method for a scale (by default its own), or one sentence on what there is.
+
+    "NAME=FILE" is the method NAME with the weights that a training run wrote, `runs/x/weights.safetensors`.
+    """
+    name, _, weights = name.partition("=")
+    names: Mapping[str, Any] = TRAINABLE if weights else METHODS
+    if name not in names:
+        advice = f"; {name} has no weights of its own: use {name}=FILE" if name in TRAINABLE else ""
+        raise ValueError(f"there is no method {name!r}; use one of {', '.join(names)}{advice}")
+    method: Method = fill(TRAINABLE[name][0](), name, Path(weights)) if weights else METHODS[name]()
     if scale is None or scale == scale_of(method):
         return method
     if scale not in method.scales:

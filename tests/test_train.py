@@ -18,6 +18,7 @@ from torch import Tensor
 from framecast import checkpoint, train
 from framecast.clip import ClipError
 from framecast.data import Footage, footage
+from framecast.fit import method_named
 from framecast.frame import Frame
 from framecast.methods import extranet
 from framecast.methods.extranet import Config, ExtraNet
@@ -109,6 +110,17 @@ def test_a_run_can_begin_with_weights(source: Footage, tmp_path: Path) -> None:
     first, second = (checkpoint.load(tmp_path / name / "weights.safetensors")[0] for name in "ab")
     for name in (key for key in first if key.endswith("weight")):
         torch.testing.assert_close(second[name], first[name], atol=1e-4, rtol=0)
+    named = method_named(f"extranet={tmp_path / 'a' / 'weights.safetensors'}").state_dict()
+    assert all(torch.equal(named[name], value) for name, value in first.items())
+
+
+def test_weights_on_the_command_line_are_of_a_trainable_method(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no method 'hold'; use one of extranet"):
+        method_named(f"hold={tmp_path / 'w.safetensors'}")
+    with pytest.raises(ValueError, match="use extrass=FILE"):
+        method_named("extrass")
+    with pytest.raises(FileNotFoundError, match="framecast train wrote"):
+        method_named(f"extranet={tmp_path / 'w.safetensors'}")
 
 
 def test_a_run_folder_is_complete(source: Footage, tmp_path: Path) -> None:
