@@ -20,6 +20,7 @@ from framecast.doctor.command import command as doctor
 from framecast.export_clip import command as export_clip
 from framecast.fit import method_named
 from framecast.importers import describe, open_any, repairs, save
+from framecast.labels import command as labels
 from framecast.methods import METHODS
 from framecast.render.command import command as render
 from framecast.report import command as report
@@ -162,6 +163,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "evaluate": evaluate,
     "report": report,
     "bench": bench,
+    "labels": labels,
     "render": render,
     "train": train,
     "demo": demo,

@@ -28,6 +28,7 @@ LEVELS = {
     "sample": 2,
     "stages": 2,
     "clip": 2,
+    "labels": 2,
     "methods": 2,
     "runtime": 3,
     "importers": 3,
