@@ -2,6 +2,7 @@
 
     cache/street-1a2b3c4d/color.npy ...   one array n c h w for each layer of the clip, n its frames
     cache/street-1a2b3c4d/cache.json      fingerprint of the clip; written last
+    cache/street-1a2b3c4d/labels1.npy     true classes n 2 H W at display size (`labels.py`), where asked for
 
 The cache may be deleted at any time and is made again when the clip changes. A crop is a `Clip` of its own whose
 frames read nothing else, so the half-rate view, cuts and bridged motion are those of `clip.py`. What a sample is
@@ -26,7 +27,9 @@ from rich.progress import track
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
+from framecast import labels as rules
 from framecast.clip import HALF, Clip, ClipError, Layers, Record
+from framecast.exr import whole
 from framecast.frame import BUFFERS, Frame, concatenate, unshaded
 from framecast.recipe import Recipe
 
@@ -41,7 +44,7 @@ class Footage:
 
     clip: Clip
     arrays: Mapping[str, np.ndarray]
-    """Layers of all frames, n c h w, under the names of `Frame`, `motion2` and `reference`."""
+    """Layers of all frames, n c h w, under the names of `Frame`, `motion2`, `reference` and `labels`."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +53,8 @@ class Batch:
 
     frames: tuple[Frame, ...]
     """Shaded ones and ones to generate, as `Recipe.mode` says."""
-    targets: Float[Tensor, "b n 3 H W"]
-    """What the last n frames should become."""
+    targets: Float[Tensor, "b n c H W"]
+    """What the last n frames should become: colour, and classes where `Recipe.labels` asks for them."""
     names: tuple[str, ...]
     """Where each sample was taken from, for people."""
 
@@ -64,11 +67,14 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "framecast" / "clips"
 
 
-def footage(clip: Clip, folder: Path | None = None) -> Footage:
+def footage(clip: Clip, folder: Path | None = None, *, labels: bool = False) -> Footage:
     """The clip with its pixels in the cache under `folder`, made now where it is not there or the clip has changed.
 
+    Args:
+        labels: with the true classes of its pixels.
+
     Raises:
-        ClipError: a frame cannot be read, or the cache cannot be written.
+        ClipError: a frame cannot be read, the clip has no sample ranges for labels, or the cache cannot be written.
     """
     where = clip.path.resolve()
     digest = hashlib.sha256(str(where).encode()).hexdigest()[:8]
@@ -80,7 +86,18 @@ def footage(clip: Clip, folder: Path | None = None) -> Footage:
         arrays = _opened(home, mark)
     if arrays is None:
         raise ClipError(f"{home} changed while it was read; delete it and run the same command again")
-    return Footage(clip, arrays)
+    return Footage(clip, {**arrays, "labels": _labels(clip, home)} if labels else arrays)
+
+
+def _labels(clip: Clip, home: Path) -> np.ndarray:
+    """The true classes of all frames, n 2 H W, mapped from the cache of the clip, and made where they are not there."""
+    path = home / f"labels{rules.RULES}.npy"
+    if not path.is_file():
+        each = [rules.labels(clip, i) for i in track(range(len(clip)), f"label {home.name}", transient=True)]
+        with whole(path) as temporary:
+            np.save(temporary, torch.cat([torch.cat((f.ghosting, f.aliasing), 1) for f in each]).numpy())
+    mapped: np.ndarray = np.load(path, mmap_mode="c")
+    return mapped
 
 
 def fingerprint(clip: Clip) -> str:
@@ -155,7 +172,7 @@ def window(source: Footage, corner: tuple[int, int], size: tuple[int, int], name
     """
     (top, left), (height, width) = corner, size
     at = {record.number: index for index, record in enumerate(source.clip.shown)}
-    kept = tuple(n for n in source.arrays if n != "reference" and (not names or n in names))
+    kept = tuple(n for n in source.arrays if n not in ("reference", "labels") and (not names or n in names))
 
     def load(record: Record) -> Layers:
         index = at[record.number]
@@ -262,7 +279,7 @@ class Samples(Dataset[Batch]):
                 f"sample needs; give longer clips"
             )
         for source in sources:
-            if scale > 1 and source.clip.scale != scale:
+            if (scale > 1 or recipe.labels) and source.clip.scale != scale:
                 raise ClipError(f"{source.clip.path} has no references {scale:g} times its size; render it with them")
 
     def __getitem__(self, number: int) -> Batch:
@@ -284,12 +301,13 @@ class Samples(Dataset[Batch]):
         if self.recipe.recolour:
             channels, world = rng.permutation(3), torch.linalg.qr(torch.from_numpy(rng.normal(size=(3, 3)))).Q.float()
             frames = [turned(recoloured(frame, channels.tolist()), world) for frame in frames]
-            targets = targets[:, :, channels.tolist()]
+            targets = targets[:, :, [*channels.tolist(), *range(3, targets.shape[2])]]
         exposure, tint = rng.uniform(-self.recipe.stops, self.recipe.stops), rng.uniform(-0.5, 0.5, 3)
         gain = torch.from_numpy(2.0 ** (exposure + self.recipe.recolour * tint)).float()[:, None, None]
         bright = tuple(f if f.color is None else replace(f, color=f.color * gain) for f in frames)
         name = f"{source.clip.path.name}, frame {source.clip.shown[start].number}, row {corner[0]}, column {corner[1]}"
-        return Batch(bright, targets * gain, (name,))
+        targets = torch.cat((targets[:, :, :3] * gain, targets[:, :, 3:]), 2)
+        return Batch(bright, targets, (name,))
 
     def cut(
         self, source: Footage, start: int, corner: tuple[int, int], size: tuple[int, int]
@@ -309,12 +327,12 @@ class Samples(Dataset[Batch]):
 
     def truth(
         self, source: Footage, index: int, corner: tuple[int, int], size: tuple[int, int]
-    ) -> Float[Tensor, "1 3 H W"]:
-        """What a frame of a clip should become there: its colour, or above scale 1 its reference."""
-        name = "reference" if self.scale > 1 else "color"
+    ) -> Float[Tensor, "1 c H W"]:
+        """What a frame of a clip should become there: its colour, or above scale 1 its reference; and its classes."""
+        names = ("reference" if self.scale > 1 else "color", *["labels"] * self.recipe.labels)
         (top, left), (height, width) = (tuple(round(self.scale * v) for v in pair) for pair in (corner, size))
-        pixels = source.arrays[name][index, :, top : top + height, left : left + width]
-        return torch.from_numpy(np.array(pixels, np.float32))[None]
+        planes = [source.arrays[name][index, :, top : top + height, left : left + width] for name in names]
+        return torch.from_numpy(np.concatenate(planes, dtype=np.float32))[None]
 
 
 def _places(recipe: Recipe) -> list[int]:

@@ -9,8 +9,8 @@ from torch import Tensor
 from framecast.frame import Frame
 
 Loss = Callable[[Any, Sequence[Frame], Tensor], dict[str, Tensor]]
-"""(method, frames in arrival order, truth of the last ones `b n 3 H W`) -> terms of the loss by name, scalars; their
-sum is minimised."""
+"""(method, frames in arrival order, truth of the last ones `b n 3 H W`, or 5 with `Recipe.labels`) -> terms of the
+loss by name, scalars; their sum is minimised."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,8 @@ class Recipe:
     """Shaded frames of a sample."""
     truths: int = 1
     """Frames of a sample, the last ones, whose truth the loss gets."""
+    labels: bool = False
+    """Whether the true classes of its pixels (see `labels.py`) follow the colour of each truth, as two channels."""
     crop: tuple[int, int] = (256, 256)
     """Height and width of a sample, pixels; smaller where the clip is smaller."""
     batch: int = 8

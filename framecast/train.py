@@ -210,7 +210,8 @@ def to(batch: Batch, device: str) -> Batch:
 
 def described(recipe: Recipe, sources: Sequence[Footage], settings: Settings) -> dict[str, Any]:
     """What decides the result of a run besides the method."""
-    values = {key: value for key, value in asdict(recipe).items() if key != "loss"}
+    # Runs that began before there were labels go on.
+    values = {key: value for key, value in asdict(recipe).items() if key != "loss" and (key != "labels" or value)}
     terms = getattr(recipe.loss, "__qualname__", str(recipe.loss))
     clips = sorted(source.clip.path.name for source in sources)
     plain: dict[str, Any] = json.loads(json.dumps({"recipe": {"loss": terms, **values}, "clips": clips}))
@@ -337,7 +338,7 @@ def picture(method: Method, batch: Batch, path: Path) -> None:
     color = frames[-2].color
     assert color is not None
     last = nn.functional.interpolate(color, image.shape[-2:])
-    shown, truth = to_display(image), to_display(targets[:, -1])
+    shown, truth = to_display(image), to_display(targets[:, -1, :3])
     strip = torch.cat((to_display(last), shown, truth, ((shown - truth).abs() * 4).clamp(max=1)), 3)
     with whole(path) as temporary:
         pixels = (strip[0].permute(1, 2, 0) * 255).round().byte().cpu().numpy()
@@ -382,7 +383,7 @@ def command(
     for path in paths:
         clip = open_any(path)
         require(clip, method, made)
-        sources.append(footage(clip, cache))
+        sources.append(footage(clip, cache, labels=recipe.labels))
     done = train(method, made, recipe, sources, out, settings)
     if dist.is_initialized():
         dist.destroy_process_group()

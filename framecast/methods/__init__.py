@@ -16,6 +16,7 @@ from torch import nn
 from framecast.methods import extranet, extrass, mnss, nsrr
 from framecast.methods.blend import Blend
 from framecast.methods.bsr import BSR
+from framecast.methods.classifier import Classifier
 from framecast.methods.extranet import ExtraNet
 from framecast.methods.extrass import ExtraSS
 from framecast.methods.filters import Bilinear, Lanczos
@@ -65,6 +66,12 @@ TRAINABLE: dict[str, tuple[Callable[[], nn.Module], Recipe]] = {
     "nsrr": (lambda: NSRR(nsrr.STEADY), nsrr.steady_recipe),
     "nsrr-five-frames": (lambda: NSRR(nsrr.FAST), nsrr.recipe),
     "mnss": (MNSS, mnss.recipe),
+    "classifier": (Classifier, classifier.recipe),
+    "classifier-true-labels": (Classifier, replace(classifier.recipe, loss=classifier.loss_with_true_labels)),
+    "classifier-none": (lambda: Classifier(classifier.Config(classifier=False)), classifier.recipe),
+    "classifier-without-counter": (lambda: Classifier(classifier.Config(counter=False)), classifier.recipe),
+    "classifier-without-carried": (lambda: Classifier(classifier.Config(carried=False)), classifier.recipe),
+    "classifier-without-range": (lambda: Classifier(classifier.Config(range=False)), classifier.recipe),
 }
 """Networks with random weights, and their recipes. Without history, occlusion and shading are the paper's ablations;
 "published" adds its output to the plain warp everywhere, the others to one whose holes are filled, where it changes."""
