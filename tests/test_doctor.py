@@ -22,7 +22,7 @@ from framecast.doctor.say_jitter import tell_jitter
 from framecast.doctor.say_motion import fields_of, tell_motion
 from framecast.doctor.say_rest import tell_color, tell_exposure, tell_normals, tell_offset, tell_padding
 from framecast.doctor.source import open_source
-from framecast.doctor.surface import normals_of, tone_of
+from framecast.doctor.surface import SIGNS, Normals, normals_of, rotations, tone_of
 from framecast.doctor.take import Take, load
 from framecast.doctor.timeline import exposure_of, steps_of
 from framecast.importers import open_any
@@ -261,11 +261,25 @@ def test_normals_without_cameras_are_only_wrong_where_an_axis_is_mirrored(take: 
         assert told(turn, axes)[0] == ["fine normal"]
     for view in (True, False):  # the camera is hardly turned, so that world and view are nearly the same
         assert told(np.eye(3), view=view)[0] == ["unknown normal.open"]
-    assert told(mirror @ away)[0] == ["fix normal.sign"]
-    codes, found = told(np.diag([1.0, -1, 1]))
-    assert codes == ["fix normal.sign"]
+    flipped = (1.0, -1.0, 1.0)
+    facing = {sign: 3.0 if sign == flipped else 60.0 for sign in SIGNS}
+    angles = {("view", sign): angle for sign, angle in facing.items()}
+    mirrored = Normals(False, 1.0, 0.0, angles, {"proper": 40.0, "mirrored": 3.0}, facing, 0.0, 1000)
+    (finding,), found = tell_normals(mirrored, about)
+    assert (finding.state, finding.code) == ("fix", "normal.sign")
     assert found is not None
-    assert found.sign == (1.0, -1.0, 1.0)
+    assert found.sign == flipped
+
+
+def test_the_best_rotation_and_the_best_reflection() -> None:
+    rng = np.random.default_rng(2)
+    a = rng.normal(size=(50, 3))
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    proper, mirrored = rotations(a, a @ turn)
+    best = proper if np.linalg.det(turn) > 0 else mirrored
+    np.testing.assert_allclose(best, turn, atol=1e-9)
+    assert np.linalg.det(proper) == pytest.approx(1)
+    assert np.linalg.det(mirrored) == pytest.approx(-1)
 
 
 def test_display_colour_is_told_by_albedo_edges(take: Take) -> None:
