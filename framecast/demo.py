@@ -1,6 +1,10 @@
-"""The main job on the clip that ships with the package: every second frame is hidden, made again and compared."""
+"""The main job on the clip that ships with the package: every second frame is hidden, made again and compared.
 
-from collections.abc import Sequence
+Then with a quarter of the pixels besides: what is left is an eighth of what was rendered.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +21,7 @@ from framecast.color import to_display
 from framecast.evaluate import Settings, evaluate, labels
 from framecast.exr import whole
 from framecast.fit import method_named
+from framecast.frame import BUFFERS, Frame
 from framecast.metrics import psnr
 from framecast.report import report
 from framecast.runtime import schedule, stream
@@ -28,6 +33,9 @@ HARBOUR = Path(__file__).parent / "shots" / "harbour"
 LOOPS = 5
 """How often the film goes back and forth, so that half a second can be judged."""
 
+QUARTERS = ((0, 0), (1, 1), (0, 1), (1, 0))
+"""Row and column of the one pixel of each 2 x 2 that is kept of a shaded frame, in turn."""
+
 Out = Annotated[Path, arg(aliases=["-o"])]
 Panel = tuple[str, Float[Tensor, "1 3 h w"]]
 
@@ -36,7 +44,7 @@ def demo(out: Out = Path("demo-out"), clip: Path = HARBOUR, method: str = "mobfg
     """Double the frame rate of the clip that ships with framecast, and compare with the frames that were hidden.
 
     Writes a film (every second frame held, beside the doubled rate), a picture of one frame and a report to look into,
-    and prints PSNR.
+    and prints PSNR. Then doubles the size of the frames with the rate: a film and a picture of that.
 
     Args:
         out: folder for the film, the picture and the report; files of an earlier demo are replaced.
@@ -55,8 +63,13 @@ def demo(out: Out = Path("demo-out"), clip: Path = HARBOUR, method: str = "mobfg
         print(f"{t + 1:12} {row[0]:6.2f} {row[1]:7.2f} {row[2]:11.2f}")
     held, mixed, ours = np.mean(scores, axis=0)
     print(f"{'mean':>12} {held:6.2f} {mixed:7.2f} {ours:11.2f}")
-    print(f"\n{picture(out, full, made)}\n{film(out, full, made)}", flush=True)
+    names = (f"shaded, {full.fps / 2:g} a second", f"framecast, {full.fps:g} a second")
+    beside = film(
+        out / "harbour.mp4", full, lambda t: list(zip(names, (present(full, t // 2 * 2), made[t]), strict=True))
+    )
+    print(f"\n{picture(out, full, made)}\n{beside}", flush=True)
     print(f"{compared(out, full, method)}: open it in a browser")
+    print(f"\n{larger(out, full)}", flush=True)
     print(
         f"framecast: {len(hidden)} frames made from their neighbours, "
         f"{ours - held:.1f} dB closer to the hidden ones than the last frame held"
@@ -102,20 +115,60 @@ def picture(out: Path, full: Clip, made: dict[int, Tensor]) -> Path:
     return path
 
 
-def film(out: Path, full: Clip, made: dict[int, Tensor]) -> Path:
-    """Every second frame held, beside the doubled rate; back and forth at the clip's own speed."""
-    names = (f"shaded, {full.fps / 2:g} a second", f"framecast, {full.fps:g} a second")
+def film(path: Path, full: Clip, panels: Callable[[int], Sequence[Panel]]) -> Path:
+    """The panels of each frame beside each other, back and forth at the clip's own speed."""
     order = [*range(len(full)), *range(len(full) - 2, 0, -1)] * LOOPS
-    folder, path = out / ".film", out / "harbour.mp4"
+    folder = path.parent / ".film"
     for t in range(len(full)):
-        panels = list(zip(names, (present(full, t // 2 * 2), made[t]), strict=True))
         with whole(folder / f"{t:04d}.png") as temporary:
-            Image.fromarray(tiled(panels)).save(temporary)
+            Image.fromarray(tiled(panels(t))).save(temporary)
     encode([folder / f"{t:04d}.png" for t in order], path, full.fps)
     for t in range(len(full)):
         (folder / f"{t:04d}.png").unlink()
     folder.rmdir()
     return path
+
+
+def larger(out: Path, full: Clip) -> str:
+    """Size and rate doubled, from every second frame with a quarter of its pixels: a film, a picture, and PSNR."""
+    view, method = full.every(2), method_named("mobfgsr", 2.0)
+    shaded = {round(f.time.item()): f for f in (quartered(view[i], i) for i in range(len(view)))}
+    groups = schedule(iter(shaded.values()), 2, "interpolate")
+    made = {round(o.time): o.image for o in stream(method, groups)}
+    plain = method_named("bilinear", 2.0)
+    single = {t: plain(f, plain.start(f))[0] for t, f in shaded.items()}
+
+    def panels(t: int) -> list[Panel]:
+        small = shaded[t // 2 * 2].color
+        assert small is not None
+        blocks = small.repeat_interleave(2, 2).repeat_interleave(2, 3)
+        return [("an eighth of the pixels", blocks), ("framecast, all of them", made[t])]
+
+    shown = range(2, len(full))
+    held, ours = (
+        float(np.mean([quality(image(t), present(full, t)) for t in shown]))
+        for image in (lambda t: single[t // 2 * 2], lambda t: made[t])
+    )
+    t, path = len(full) // 2 // 2 * 2 + 1, out / "larger.png"
+    with whole(path) as temporary:
+        Image.fromarray(tiled(panels(t))).save(temporary)
+    return (
+        f"{path}\n{film(out / 'larger.mp4', full, panels)}\n"
+        f"framecast: rate and size doubled, {ours:.1f} dB; the last frame enlarged and held, {held:.1f} dB"
+    )
+
+
+def quartered(frame: Frame, number: int) -> Frame:
+    """A frame of half the size: one pixel of each 2 x 2, as a renderer with jitter would have shaded it."""
+    row, column = QUARTERS[number % 4]
+    assert frame.color is not None
+    height, width = (side // 2 * 2 for side in frame.color.shape[-2:])
+    kept = {name: getattr(frame, name) for name in ("color", "depth", "motion", "motion_next")}
+    small = {k: None if v is None else v[..., row:height:2, column:width:2].contiguous() for k, v in kept.items()}
+    for name in ("motion", "motion_next"):
+        small[name] = None if small[name] is None else small[name] / 2
+    jitter = torch.tensor([[column / 2 - 0.25, row / 2 - 0.25]])
+    return replace(frame, **(dict.fromkeys(BUFFERS) | small), jitter=jitter)
 
 
 def compared(out: Path, full: Clip, method: str) -> Path:

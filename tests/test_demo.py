@@ -29,4 +29,10 @@ def test_the_demo_beats_holding_the_last_frame(tmp_path: Path, capsys: pytest.Ca
     with av.open(str(tmp_path / "harbour.mp4")) as film:
         assert film.streams.video[0].average_rate == 24
         assert sum(1 for _ in film.decode(video=0)) == 80
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["harbour.mp4", "report.html", "side-by-side.png"]
+    sentence = next(line for line in text.splitlines() if "rate and size doubled" in line)
+    doubled, enlarged = (float(word) for word in sentence.split() if word.replace(".", "").isdigit())
+    assert doubled > enlarged + 2
+    with Image.open(tmp_path / "larger.png") as picture:
+        assert picture.size == (960, 270)
+    names = ["harbour.mp4", "larger.mp4", "larger.png", "report.html", "side-by-side.png"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == names
