@@ -29,7 +29,7 @@ from framecast.doctor.search import Shake, measured_scale
 from framecast.doctor.source import Source, open_source
 from framecast.doctor.surface import normals_of, tone_of
 from framecast.doctor.take import Take, load
-from framecast.doctor.timeline import exposure_of, steps_of
+from framecast.doctor.timeline import Step, exposure_of, steps_of
 from framecast.exr import ClipError
 from framecast.importers.decode import decode_depth
 from framecast.importers.settings import Depth, Jitter, Motion, Settings
@@ -71,10 +71,11 @@ def examine(folder: Path | str) -> Examined:
         source, take = _cropped(source, take, crop)
     settings = source.claim if crop is None else replace(source.claim, crop=crop)
     told, late, offset = _vectors(take, settings.motion)
-    odd, apart = _odd(take, told)
+    odd, apart, steps = _odd(take, told)
     if apart and len(apart) < len(take.pairs) / 2:
         take = replace(take, joined=tuple(j and t not in apart for t, j in enumerate(take.joined)))
         told, late, offset = _vectors(take, settings.motion)
+        steps = steps_of(take, told.answer.best.reading, told.answer.shifts) if told.answer else []
     findings += [*told.findings, *late, *odd]
     fields = fields_of(take, told, _some(take))
     shake = told.answer.shake if told.answer and told.motion else Shake((), np.zeros((0, 2)), None, None)
@@ -92,7 +93,7 @@ def examine(folder: Path | str) -> Examined:
         settings = replace(settings, jitter=_recorded(source, settings.jitter))
     settings, said = _surfaces(source, take, settings, _unshaken(take, fields, jittered))
     findings += said
-    settings, said = _light(source, take, settings, told)
+    settings, said = _light(source, take, settings, told, steps)
     findings += said
     report = Report(
         str(source.path), source.kind if source.kind != "unknown" else "a folder of unknown origin", take.numbers,
@@ -166,11 +167,12 @@ def _vectors(take: Take, claim: Motion | None) -> tuple[Told, list[Finding], int
     return tell_motion(take, claim), [], 0
 
 
-def _odd(take: Take, told: Told) -> tuple[list[Finding], set[int]]:
-    """What is wrong between single frames, and which: those say nothing about what the vectors of the others mean."""
+def _odd(take: Take, told: Told) -> tuple[list[Finding], set[int], list[Step]]:
+    """What is wrong between single frames, and which: those say nothing about what the vectors of the others mean; and
+    all frames against the ones before."""
     answer = told.answer
     if answer is None:
-        return [], set()
+        return [], set(), []
     steps = steps_of(take, answer.best.reading, answer.shifts)
     scales = measured_scale(take, answer.scene, answer.best, answer.shifts) if told.motion is not None else {}
     said, apart = tell_time(take, steps, scales)
@@ -178,7 +180,7 @@ def _odd(take: Take, told: Told) -> tuple[list[Finding], set[int]]:
         whole = replace(take, joined=tuple(j and t not in apart for t, j in enumerate(take.joined)))
         more, others = tell_odd(whole, fields_of(whole, told, whole.pairs), answer.shifts)
         said, apart = said + more, apart | others
-    return said, apart
+    return said, apart, steps
 
 
 def _unshaken(take: Take, fields: Mapping[int, np.ndarray], jittered: bool) -> dict[int, np.ndarray]:
@@ -256,14 +258,14 @@ def _distances(take: Take, depth: Depth) -> dict[int, np.ndarray]:
     return out
 
 
-def _light(source: Source, take: Take, settings: Settings, told: Told) -> tuple[Settings, list[Finding]]:
+def _light(
+    source: Source, take: Take, settings: Settings, told: Told, steps: Sequence[Step]
+) -> tuple[Settings, list[Finding]]:
     """Colour and exposure."""
     assert settings.color is not None
     said, color = tell_color(tone_of(take), settings.color, source.bits["color"])
     if told.answer is None:
         return replace(settings, color=color), said
-    answer = told.answer
-    steps = steps_of(take, answer.best.reading, answer.shifts)
     exposure = exposure_of(take, steps)
     more, factors = tell_exposure(exposure, len(take.numbers))
     if factors is not None and len(take.numbers) == len(source.numbers):
