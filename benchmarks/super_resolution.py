@@ -57,9 +57,9 @@ def quality(
         for name, called, mode in wanted:
             if any((row.method, row.clip) == (called, label) for row in rows):
                 continue
-            seen, how = (
-                (clip, settings) if name != "taa" else (native_clip(native, label), replace(settings, scale=1.0))
-            )  # type: ignore[arg-type]
+            seen, how = clip, settings
+            if name == "taa" and native is not None:  # at display size, against references of that size
+                seen, how = replace(open_clip(native / label), scale=1.0), replace(settings, scale=1.0)
             found = evaluate_clip(seen, label, name, mode, how)  # type: ignore[arg-type]
             role = "shaded" if mode == "pass" else "generated"
             rows += [replace(row, method=called) for row in found if row.role == role]
@@ -78,11 +78,6 @@ def quality(
             *parts(rows),
         ],
     )
-
-
-def native_clip(folder: Path, name: str) -> object:
-    """The clip at display size; its frames are compared with references of the same size."""
-    return replace(open_clip(folder / name), scale=1.0)
 
 
 def parts(rows: Sequence[Row]) -> list[str]:

@@ -7,6 +7,7 @@ a busy machine.
 import statistics
 import time as clock
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -34,7 +35,7 @@ def frames(size: tuple[int, int]) -> list[Frame]:
 def prepared(name: str, clip: list[Frame], scale: float, fast: bool) -> tuple[Callable[[], object], float]:
     """A call that makes one more image, from the state after the frames before; and the memory of those frames, MB."""
     method = method_named(name, scale).eval()
-    call = compiled(method) if fast else method
+    call: Any = compiled(method) if fast else method
     state = call.start(clip[0])
     reset_peak_memory("cpu")
     with torch.no_grad():

@@ -50,7 +50,7 @@ def cut(frames: Sequence[Frame], references: Sequence[Tensor], crop: int) -> Sam
         here = (..., slice(y * factor, (y + crop) * factor), slice(x * factor, (x + crop) * factor))
         return None if image is None else image[here].contiguous()
 
-    bare = dict.fromkeys(("albedo", "normal", "roughness", "metallic", "object", "view", "projection"))
+    bare: dict[str, Any] = dict.fromkeys(("albedo", "normal", "roughness", "metallic", "object", "view", "projection"))
     names = ("color", "depth", "motion", "motion_next")
     run = range(first, first + RUN)
     cropped = [replace(frames[i], **bare, **{name: part(getattr(frames[i], name)) for name in names}) for i in run]
@@ -114,7 +114,7 @@ def calibrate(
         error = larger_error(cut(*one, crop), value["a"], value["b"])
         error = error + between_error(cut(*two, crop), value["T_D"], value["T_B"])
         optimiser.zero_grad()
-        error.backward()  # type: ignore[no-untyped-call]
+        error.backward()
         optimiser.step()
         if step % 20 == 19:
             print(

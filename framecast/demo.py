@@ -6,7 +6,7 @@ Then with a quarter of the pixels besides: what is left is an eighth of what was
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -163,12 +163,14 @@ def quartered(frame: Frame, number: int) -> Frame:
     row, column = QUARTERS[number % 4]
     assert frame.color is not None
     height, width = (side // 2 * 2 for side in frame.color.shape[-2:])
-    kept = {name: getattr(frame, name) for name in ("color", "depth", "motion", "motion_next")}
-    small = {k: None if v is None else v[..., row:height:2, column:width:2].contiguous() for k, v in kept.items()}
-    for name in ("motion", "motion_next"):
-        small[name] = None if small[name] is None else small[name] / 2
-    jitter = torch.tensor([[column / 2 - 0.25, row / 2 - 0.25]])
-    return replace(frame, **(dict.fromkeys(BUFFERS) | small), jitter=jitter)
+
+    def part(image: Tensor | None, factor: float = 1.0) -> Tensor | None:
+        return None if image is None else (image[..., row:height:2, column:width:2] * factor).contiguous()
+
+    kept: dict[str, Any] = dict.fromkeys(BUFFERS)
+    kept |= {name: part(getattr(frame, name)) for name in ("color", "depth")}
+    kept |= {name: part(getattr(frame, name), 0.5) for name in ("motion", "motion_next")}
+    return replace(frame, **kept, jitter=torch.tensor([[column / 2 - 0.25, row / 2 - 0.25]]))
 
 
 def compared(out: Path, full: Clip, method: str) -> Path:

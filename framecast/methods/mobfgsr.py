@@ -22,8 +22,8 @@ Differs:  each choice measured in docs/results/frame-generation.md.
           One table for all scales: trained on references or on shaded colour, tables differ by 0.04 dB.
           Eq. 2 as printed loses light (its weights do not sum to 1). Here 1 - b d is what a sample counts against the
           history, 1 / a - 1 the most that a moving history counts, and Catmull-Rom makes the sample's image; a = 0.5,
-          b = 1.5 by search on training scenes (the paper's 0.34 and 0.81 with its own form). What was hidden is asked of
-          each pixel's own depth and vector (`larger.uncovered`), not of the dilated ones; it starts bilinearly.
+          b = 1.5 by search on training scenes (the paper's 0.34 and 0.81 with its own form). What was hidden is asked
+          of each pixel's own depth and vector (`larger.uncovered`), not of the dilated ones; it starts bilinearly.
           Pixels that stand still are averaged without that limit, and clamped only when they stay outside of their
           neighbourhood: else jitter makes them flicker for ever.
           Interpolated large images mix the large images on both sides; the paper's later one is small.
