@@ -42,6 +42,7 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "bsr": BSR,
     "mobfgsr": MobFGSR,
     "mobfgsr-quadratic": lambda: MobFGSR(MobFGSRConfig(motion="quadratic")),
+    "extranet": lambda: shipped("extranet", ExtraNet(extranet.BETTER)),
     "extrass-warp": GuidedWarp,
     "bilinear": Bilinear,
     "lanczos": Lanczos,
