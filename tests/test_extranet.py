@@ -30,6 +30,7 @@ from framecast.methods.reproject import (
     filled,
     geometry,
     light,
+    likeness,
     occluder_motion,
     steps,
     surface,
@@ -356,11 +357,11 @@ def test_holes_are_filled_like_a_brute_force_twin() -> None:
     now = replace(now, normal=F.normalize(noise(3) - 0.3, dim=1), depth=3 + noise(1))
     fallback, finish = noise(3), noise(2)
     seen = [(noise(3), noise(1) > part) for part in (0.8, 0.7, 0.5)]
-    found = filled(seen, fallback, now, finish)
+    surfaces = likeness(now.normal, now.depth, finish)
+    found = filled(seen, fallback, surfaces)
     known = seen[2][1] | seen[1][1] | seen[0][1]
     base = torch.where(seen[2][1], seen[2][0], torch.where(seen[1][1], seen[1][0], seen[0][0]))
     torch.testing.assert_close(found * known, base * known)
-    surfaces = torch.cat((now.normal / 0.35, now.depth.log() / 0.08, finish / 0.2), 1)
     everywhere = _filled_at(torch.arange(known.numel()), base, known, surfaces, fallback)
     torch.testing.assert_close(everywhere, found, rtol=1e-4, atol=1e-5)
     holes = (~known)[0, 0].nonzero()

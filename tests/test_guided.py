@@ -17,6 +17,7 @@ from framecast.methods.guided import (
     GuidedWarp,
     Seen,
     _searched_at,
+    extrapolated,
     guided_warp,
     guides,
     search_elsewhere,
@@ -122,6 +123,21 @@ def test_what_leads_off_the_screen_finds_nothing_beyond_nine_pixels() -> None:
     assert bool(known[..., 15:].all())
     torch.testing.assert_close(found[..., 15:], image[..., :-15])
     assert bool(torch.isfinite(found).all())
+
+
+def test_holes_are_filled_from_like_surfaces_around() -> None:
+    """A wall of a colour that the last frame did not show, but for a strip of it, is lit as the strip is."""
+    past, now = shot(4.0, speed=0), shot(5.0, speed=0, span=1.0)
+    assert past.color is not None
+    assert past.albedo is not None
+    shown = torch.zeros(1, 1, H, W)
+    shown[..., 10:12, :] = 1
+    before = replace(past, albedo=past.albedo * (0.5 + 0.5 * shown), color=past.color * 0 + 0.2 * shown + 0.01)
+    image, known = extrapolated(unshaded(now), GuidedWarp().start(before))
+    assert not bool(known[..., 0, :].any())
+    lit = float(light(before)[..., 10:12, :].mean())
+    near = decode_log(image)[..., 22, 4:-4]  # eleven pixels below: beyond the warp's nine
+    torch.testing.assert_close(near, decode_log(torch.full_like(near, lit)), rtol=2e-2, atol=0)
 
 
 def test_the_sky_is_a_surface_of_its_own() -> None:

@@ -46,6 +46,7 @@ from framecast.methods.reproject import (
     filled,
     geometry,
     light,
+    likeness,
     occluder_motion,
     steps,
     surface,
@@ -251,7 +252,7 @@ class ExtraNet(nn.Module):
                 occluded = torch.where(mask, base, warp(state.newest.light, occluder_motion(now.depth, motion)))
             surfaces = features(frame)
             if self.config.residual == "filled":
-                base = filled(seen, occluded, now, surfaces[:, 4:])
+                base = filled(seen, occluded, likeness(now.normal, now.depth, surfaces[:, 4:]))
             past = tuple(torch.cat((image, m.float()), 1) for image, m in seen)
             return Inputs(base, occluded, mask.float(), surfaces, past, frame.jitter)
 

@@ -30,12 +30,12 @@ from torch import Tensor, nn
 
 from framecast.color import decode_log, decode_srgb, modulate, tonemap
 from framecast.frame import Frame
-from framecast.methods.guided import Seen, guided_warp, guides
+from framecast.methods.guided import Seen, extrapolated, guides
 from framecast.methods.larger import require
 from framecast.methods.mnss import State as Last
 from framecast.methods.mnss import moved, shown
 from framecast.methods.nsrr import WHITE, decoded, difference, encoded, nearness
-from framecast.methods.reproject import light, steps, surface
+from framecast.methods.reproject import light, surface
 from framecast.nets import padded
 from framecast.recipe import Recipe
 from framecast.resample import enlarge, size_at, tent
@@ -201,8 +201,7 @@ class ExtraSS(nn.Module):
 
     def extrapolate(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 h w"], Float[Tensor, "b 1 h w"]]:
         """The last shaded frame on this frame's surfaces, linear, and 1 where they were found in it."""
-        motion = steps(frame, state.shaded.time, state.shaded.jitter)
-        image, known = guided_warp(state.shaded, guides(frame), motion)
+        image, known = extrapolated(frame, state.shaded)
         return modulate(decode_log(image), surface(frame)), known.float()
 
 

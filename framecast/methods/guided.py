@@ -10,7 +10,8 @@ Differs: Where the plain bilinear read meets a like surface it is kept: with the
          of the middle candidate do it; here every candidate stands once.
          Distance is measured from where the vector exactly leads, so that among like surfaces the nearest win, and ties
          do not shift the image. Candidates beyond the screen do not count.
-         Where no candidate is alike the pixel is marked as a hole, and its image is the nearest candidates' mean.
+         Where no candidate is alike the pixel is a hole, and filled from like surfaces around it in this frame
+         (`reproject.filled`; worth 0.3 dB on training scenes).
          Jitter of both frames is part of the motion. The sky counts as a surface of its own.
 Needs:   color, depth, albedo, metallic, normal; of the generated frame the same but colour, and motion
 Modes:   extrapolate
@@ -25,7 +26,7 @@ from torch import Tensor, nn
 
 from framecast.color import decode_log, modulate
 from framecast.frame import SKY, Frame
-from framecast.methods.reproject import as_image, as_rows, light, squared, steps, surface
+from framecast.methods.reproject import as_image, as_rows, filled, light, likeness, squared, steps, surface
 from framecast.warp import inside, warp
 
 STRIDES = (1, 3, 5, 9)
@@ -189,5 +190,16 @@ class GuidedWarp(nn.Module):
 
     def generate(self, frame: Frame, state: Seen) -> Float[Tensor, "b 3 h w"]:
         """The last light, found by its surfaces, on those of the frame."""
-        image, _ = guided_warp(state, guides(frame), steps(frame, state.time, state.jitter), self.config)
+        image, _ = extrapolated(frame, state, self.config)
         return modulate(decode_log(image), surface(frame))
+
+
+def extrapolated(
+    frame: Frame, past: Seen, config: Config = Config()
+) -> tuple[Float[Tensor, "b 3 h w"], Bool[Tensor, "b 1 h w"]]:
+    """The light of an earlier frame on the surfaces of this one, its holes filled from like surfaces around them, and
+    where it was found. Encoded by `encode_log`."""
+    assert frame.depth is not None
+    now = guides(frame)
+    image, known = guided_warp(past, now, steps(frame, past.time, past.jitter), config)
+    return filled([(image, known)], image, likeness(now[:, 3:6], frame.depth, now[:, :3])), known

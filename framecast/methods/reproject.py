@@ -31,7 +31,7 @@ PLACES = tuple(
 
 TURNED, NEAR, ALIKE = 0.35, 0.08, 0.2
 """Differences that make one surface weigh 1/e of a like one: between normals, of the logarithm of depth, and of
-roughness or metallic."""
+whatever else is compared."""
 
 DOUBT = 1e-3
 """What the fallback weighs, where a like surface one pixel away weighs 1."""
@@ -163,28 +163,32 @@ def occluder_motion(depth: Float[Tensor, "b 1 h w"], motion: Float[Tensor, "b 2 
 def filled(
     seen: Sequence[tuple[Tensor, Tensor]],
     fallback: Float[Tensor, "b 3 h w"],
-    now: Geometry,
-    finish: Float[Tensor, "b 2 h w"],
+    surfaces: Float[Tensor, "b c h w"],
 ) -> Float[Tensor, "b 3 h w"]:
     """Warped light with its holes filled: from an older frame that shows the surface, else from like surfaces around.
 
     Args:
         seen: warped light (b 3 h w) and where it is valid (b 1 h w, bool), the newest frame last.
         fallback: what counts, a little, besides the surfaces around, and alone where there is none.
-        now: the frame that the light is warped to.
-        finish: roughness and metallic of that frame.
+        surfaces: `likeness` of the frame that the light is warped to.
 
     Around a hole 32 places up to 11 pixels away are read; each counts by 1 / distance^2 and, as a Gaussian of the
-    differences in normal, relative depth, roughness and metallic, by how much it is like the hole's surface.
+    difference in `likeness`, by how much it is like the hole's surface.
     """
     (image, known), *older = seen[::-1]
     for light_there, valid_there in older:
         image = torch.where(known, image, light_there)
         known = known | valid_there
-    surfaces = torch.cat((now.normal / TURNED, now.depth.clamp(max=SKY).log() / NEAR, finish / ALIKE), 1)
     if image.device.type == "cpu":
         return fill_holes(image, known, surfaces, fallback)
     return _filled_at(torch.arange(known.numel(), device=image.device), image, known, surfaces, fallback)
+
+
+def likeness(
+    normal: Float[Tensor, "b 3 h w"], depth: Float[Tensor, "b 1 h w"], other: Float[Tensor, "b c h w"]
+) -> Float[Tensor, "b d h w"]:
+    """Surfaces as points: at a distance of 1 they count 1/e. `other`: roughness and metallic, or base colour."""
+    return torch.cat((normal / TURNED, depth.clamp(max=SKY).log() / NEAR, other / ALIKE), 1)
 
 
 @torch.library.custom_op("framecast::fill_holes", mutates_args=())
