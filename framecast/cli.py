@@ -26,7 +26,7 @@ from framecast.render.command import command as render
 from framecast.report import command as report
 from framecast.runtime import Mode
 from framecast.train import command as train
-from framecast.upsample import Format, Job
+from framecast.upsample import Debug, Format, Job
 from framecast.upsample import upsample as run_upsample
 
 Out = Annotated[Path, arg(aliases=["-o"])]
@@ -65,6 +65,7 @@ def upsample(
     overwrite: bool = False,
     device: str = "cpu",
     compile: bool = False,
+    debug: Debug | None = None,
 ) -> None:
     """Raise the size and the frame rate of a clip or of a folder of rendered EXR files.
 
@@ -82,13 +83,21 @@ def upsample(
         overwrite: remove what is at OUT first.
         device: cpu, cuda, mps.
         compile: compile the method: half a minute once for each size, then several times faster.
+        debug: labels writes beside each image, as a picture, how the method classified its pixels.
     """
     mode = mode or first_mode(method, fps)
     rate = 1 if mode == "pass" else 2 if fps is None else fps
     job = Job(method, rate, mode, format or ("mp4" if out.suffix == ".mp4" else "exr"), scale)
     opened, replaced = mended(open_any(clip)) if repair else (open_any(clip), {})
     made = run_upsample(
-        opened, out, job, device=device, compile=compile, overwrite=overwrite, progress=bar(f"upsample ({method})")
+        opened,
+        out,
+        job,
+        device=device,
+        compile=compile,
+        overwrite=overwrite,
+        debug=debug,
+        progress=bar(f"upsample ({method})"),
     )
     height, width = made.size
     again = f", {made.skipped} of them were there" if made.skipped else ""

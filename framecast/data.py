@@ -2,7 +2,7 @@
 
     cache/street-1a2b3c4d/color.npy ...   one array n c h w for each layer of the clip, n its frames
     cache/street-1a2b3c4d/cache.json      fingerprint of the clip; written last
-    cache/street-1a2b3c4d/labels1.npy     true classes n 2 H W at display size (`labels.py`), where asked for
+    cache/street-1a2b3c4d/labels2.npy     true classes n 2 H W at display size (`labels.py`), where asked for
 
 The cache may be deleted at any time and is made again when the clip changes. A crop is a `Clip` of its own whose
 frames read nothing else, so the half-rate view, cuts and bridged motion are those of `clip.py`. What a sample is

@@ -12,9 +12,11 @@ Choices where the supplement is silent or cannot be meant as printed:
   Before a cut nothing has a velocity, so that on the second frame of a shot depth alone decides.
   Dilation (Eq. 3, 4) goes from a labelled pixel to neighbours in front of it that move otherwise: edge pixels of what
   uncovers a surface hold some of that surface, and their nearest sample does not tell.
-  Colours are compared as c / (1 + c) per channel, which maps boxes to boxes, with T_I = 0.1 either way and in any
+  Colours are compared as c / (1 + c) per channel, which maps boxes to boxes, with T_I = 0.03 either way and in any
   channel, and T_IoU = 0.25. Boxes grow by SLACK first: those of uniform pixels have no volume.
-  An opening done again changes nothing. "Twice" is read as two erosions and then two dilations.
+  An opening done again changes nothing, so that it is done once, with 3 x 3 pixels. Against the exact changes of light
+  above 5 % that the renderer writes, where nothing else is labelled, in six training clips at 512x288 to 640x360:
+  precision 0.84 and recall 0.49; with T_I = 0.1 next to nothing is found; with 5 x 5 pixels it is 0.94 and 0.23.
   Eq. 7 asks whether depth varies by 1 % inside a pixel, which all of a floor does up to 100 pixels below the horizon,
   at any resolution: shadows that move there would never be shading. What a plane spans is taken off first (`_slope`).
   Eq. 9 divides by at least DARK, or the faintest light in a black channel would be texture.
@@ -43,14 +45,14 @@ ALIASING = ("geometry", "texture", "none")
 NONE = 2
 """Index of "none" in both."""
 
-RULES = 1
+RULES = 2
 """Counts the changes of what these tests say, so that labels kept in caches are made anew."""
 
 DEPTH = 0.01
 """Part of its reversed depth by which a surface is another one: of two frames, two pixels, or one pixel."""
 VELOCITY = 1.0
 """Squared difference of two velocities, display pixels a frame, above which they are of different surfaces."""
-COLOR, OVERLAP = 0.1, 0.25
+COLOR, OVERLAP = 0.03, 0.25
 """Change of the brightest sample that counts, and the overlap of colour boxes below which it does."""
 SLACK = 0.01
 """By which colour boxes grow on every side before they are compared."""
@@ -94,6 +96,12 @@ class Labels:
     """Index into GHOSTING."""
     aliasing: UInt8[Tensor, "b 1 H W"]
     """Index into ALIASING."""
+
+
+def likeliest(classes: Float[Tensor, "b 6 H W"]) -> Labels:
+    """The classes whose likelihoods, or logits, are largest: three of GHOSTING, then three of ALIASING."""
+    ghosting, aliasing = (three.argmax(1, keepdim=True).to(torch.uint8) for three in classes.chunk(2, 1))
+    return Labels(ghosting, aliasing)
 
 
 # The tests.
@@ -154,7 +162,7 @@ def _grown(hidden: Tensor, nearness: Tensor, motion: Tensor) -> Bool[Tensor, "b 
 
 
 def shading(now: Ranges, before: Ranges, motion: Float[Tensor, "b 2 H W"]) -> Bool[Tensor, "b 1 H W"]:
-    """Where light changed on areas of at least 5 x 5 pixels; what lies beyond the border counts as changed."""
+    """Where light changed on areas of at least 3 x 3 pixels; what lies beyond the border counts as changed."""
     low, high = _bounded(now.low), _bounded(now.high)
     low_before, high_before = fetch(torch.cat((_bounded(before.low), _bounded(before.high)), 1), motion).chunk(2, 1)
     changed = (high - high_before).abs().amax(1, keepdim=True) > COLOR
@@ -176,11 +184,9 @@ def _overlap(low: Tensor, high: Tensor, low_before: Tensor, high_before: Tensor)
 
 
 def opened(mask: Bool[Tensor, "b 1 H W"]) -> Bool[Tensor, "b 1 H W"]:
-    """Two erosions by 3 x 3 pixels, then two dilations: what is less than 5 pixels wide goes, the rest stays."""
-    values = mask.float()
-    for sign in (-1, -1, 1, 1):
-        values = sign * F.max_pool2d(sign * values, 3, 1, 1)
-    return values > 0.5
+    """Erosion and dilation by 3 x 3 pixels: what is less than 3 pixels wide goes, the rest stays."""
+    eroded = -F.max_pool2d(-mask.float(), 3, 1, 1)
+    return F.max_pool2d(eroded, 3, 1, 1) > 0.5
 
 
 def aliasing(now: Ranges) -> tuple[Bool[Tensor, "b 1 H W"], Bool[Tensor, "b 1 H W"]]:
@@ -274,6 +280,12 @@ def overlay(image: Float[Tensor, "1 3 H W"], found: Labels) -> UInt8[np.ndarray,
     return (np.concatenate(halves, 1) + 0.5).astype(np.uint8)
 
 
+def show(image: Float[Tensor, "1 3 H W"], found: Labels, path: Path) -> None:
+    """Writes the overlay as PNG, the whole file or nothing."""
+    with exr.whole(path) as temporary:
+        titled(overlay(image, found), found).save(temporary, format="PNG")
+
+
 def titled(picture: UInt8[np.ndarray, "H W 3"], found: Labels) -> Image.Image:
     """The overlay under a line that names the colours and says how many of the pixels have them."""
     height, width, _ = picture.shape
@@ -316,6 +328,5 @@ def command(clip: Positional[Path], out: Annotated[Path, arg(aliases=["-o"])], f
     found, image = labels(opened_clip, index), opened_clip.reference(index)
     if image is None:
         raise ClipError(f"{clip} has no references to lay labels over; render it again with --samples above 0")
-    with exr.whole(out) as temporary:
-        titled(overlay(image, found), found).save(temporary, format="PNG")
+    show(image, found, out)
     print(f"{out}: frame {number} of {clip}, ghosting on the left, aliasing on the right")

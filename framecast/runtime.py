@@ -101,12 +101,20 @@ def _moments(previous: Frame, frame: Frame, rate: int) -> list[float]:
 
 
 def stream(
-    method: nn.Module, groups: Iterable[Sequence[Frame]], *, device: torch.device | str = "cpu", compile: bool = False
+    method: nn.Module,
+    groups: Iterable[Sequence[Frame]],
+    *,
+    device: torch.device | str = "cpu",
+    compile: bool = False,
+    watch: Callable[[Any], None] = lambda state: None,
 ) -> Iterator[Output]:
     """Images in display order from groups of frames in arrival order (`schedule`, or an engine's own).
 
     The method's state starts at the first frame and again wherever `reset` is set. Compilation happens once per size
     and per role (shaded, interpolated, extrapolated), on their first frames.
+
+    Args:
+        watch: gets the state after every frame, before its group's images come out.
     """
     method = placed(method, device)
     call = compiled(method) if compile else method
@@ -122,6 +130,7 @@ def stream(
             if image.device.type == "cuda":
                 torch.cuda.synchronize(image.device)
             elapsed = (clock.perf_counter() - started) * 1e3
+            watch(state)
             outputs.append(Output(float(frame.time[0]), image, not frame.is_shaded, elapsed))
         yield from sorted(outputs, key=lambda output: output.time)
 

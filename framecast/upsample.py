@@ -1,6 +1,7 @@
 """The main job: a clip in, a sequence with more frames out, whole files only, going on where it was.
 
 out/0001.exr ...     linear colour, half float; or 0001.png, display colour, 8 bits
+out/0001.labels.png  how the method classified the pixels of the image, where asked for
 out/job.json         what was asked for, so that the same command goes on and another one is refused
 out.mp4              the same as a film; its frames lie in a folder beside it until it is complete
 """
@@ -27,9 +28,12 @@ from framecast.clip import Clip, ClipError
 from framecast.color import to_display
 from framecast.fit import method_named, require, require_mode, scale_of
 from framecast.frame import Frame
+from framecast.labels import likeliest, show
+from framecast.methods.classifier import Classifier
 from framecast.runtime import Mode, Output, latency, schedule, stream
 
 Format = Literal["exr", "png", "mp4"]
+Debug = Literal["labels"]
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,7 @@ def upsample(
     device: str = "cpu",
     compile: bool = False,
     overwrite: bool = False,
+    debug: Debug | None = None,
     progress: Callable[[Iterable[int], int], Iterable[int]] = lambda indices, total: indices,
 ) -> Made:
     """Write the clip at `job.rate` times its frame rate and `job.scale` times its size.
@@ -82,6 +87,7 @@ def upsample(
     Args:
         out: a folder, or a file name for mp4.
         overwrite: remove what is there first.
+        debug: labels: also write how the method classified the pixels of each image.
         progress: wraps the indices of the images still to make; gets their number too.
 
     Raises:
@@ -95,16 +101,23 @@ def upsample(
         require_mode(job.method, method, job.mode)
         _require_nothing_between(job.method, method.needs_generated)
     require(clip, job.method, method)
+    if debug is not None:
+        _require_classes(job, method)
     folder = out.with_name(f".{out.name}.frames") if job.format == "mp4" else out
     _begin(clip, out, folder, job, overwrite)
     plan = Plan(clip, job)
     done = next((i for i in range(plan.total) if not plan.path(folder, i).is_file()), plan.total)
     spent: list[float] = []
     if done < plan.total:
-        images = _images(clip, plan, done, method.history, stream_with(method, device, compile))
+        state: list[Any] = [None]
+        run = stream_with(method, device, compile, lambda new: state.__setitem__(0, new))
+        images = _images(clip, plan, done, method.history, run)
         with _nothing_left_of_nothing(folder):
             for index, output in zip(progress(range(done, plan.total), plan.total - done), images, strict=True):
-                write_image(plan.path(folder, index), output.image)
+                path = plan.path(folder, index)
+                if debug is not None:
+                    show(output.image, likeliest(state[0].classes), path.with_suffix(".labels.png"))
+                write_image(path, output.image)
                 spent += [output.milliseconds] if output.generated else []
     if job.format == "mp4" and not out.is_file():
         encode([plan.path(folder, i) for i in range(plan.total)], out, plan.fps)
@@ -123,6 +136,17 @@ def _require_nothing_between(name: str, needs: Sequence[str]) -> None:
             f"nothing was rendered; use --method mobfgsr, or record those frames without colour and "
             f"pass them with --mode pass"
         )
+
+
+def _require_classes(job: Job, method: object) -> None:
+    """Refuses labels where the method has none, or where nothing would be left of them."""
+    if not isinstance(method, Classifier) or method.classify is None:
+        raise ValueError(
+            f"{job.method} does not classify pixels, so that there are no labels to write; use "
+            f"--method classifier=FILE, or leave out --debug labels"
+        )
+    if job.format == "mp4":
+        raise ValueError("labels are written beside images, and a film has none; use --format png, or exr")
 
 
 @dataclass(frozen=True)
@@ -168,9 +192,11 @@ class Plan:
         return next((i for i in range(shaded, -1, -1) if self.clip.is_cut(i)), 0)
 
 
-def stream_with(method: object, device: str, compile: bool) -> Callable[[Iterable[list[Frame]]], Iterator[Output]]:
+def stream_with(
+    method: object, device: str, compile: bool, watch: Callable[[Any], None] = lambda state: None
+) -> Callable[[Iterable[list[Frame]]], Iterator[Output]]:
     """`runtime.stream` with everything but the frames."""
-    return lambda groups: stream(method, groups, device=device, compile=compile)  # type: ignore[arg-type]
+    return lambda groups: stream(method, groups, device=device, compile=compile, watch=watch)  # type: ignore[arg-type]
 
 
 def _images(

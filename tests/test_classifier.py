@@ -1,0 +1,435 @@
+"""Classifier-guided supersampling: published sizes, buffers with known values, counters, classes, losses, samples."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from test_labels import card, sliding, write
+from test_super_resolution import gradient, played, shot, state_after, truth
+from torch import Tensor
+from torch.utils._pytree import tree_leaves
+
+from framecast import checkpoint
+from framecast.cli import main
+from framecast.clip import ClipError, open_clip
+from framecast.color import encode_srgb, tonemap
+from framecast.data import Footage, Samples, footage
+from framecast.fit import method_named
+from framecast.frame import Frame, concatenate
+from framecast.labels import labels, likeliest
+from framecast.methods import TRAINABLE
+from framecast.methods.classifier import (
+    Classifier,
+    Config,
+    Network,
+    State,
+    errors,
+    likelihoods,
+    look,
+    loss,
+    loss_with_true_labels,
+    one_hot,
+    recipe,
+)
+from framecast.nets import multiply_accumulates, parameters
+
+TINY = Config(widths=(8, 16, 32, 64), inner=8)
+ABLATIONS = [replace(TINY, **{name: False}) for name in ("counter", "carried", "range", "classifier")]
+SIZE = (36, 48)
+
+
+def tiny(config: Config = TINY) -> Classifier:
+    torch.manual_seed(0)
+    method = Classifier(config).eval()
+    for layer in method.modules():
+        if isinstance(layer, torch.nn.BatchNorm2d):  # as after training: none of them does nothing
+            torch.nn.init.uniform_(layer.running_var, 0.1, 0.5)  # type: ignore[arg-type]
+    return method
+
+
+def classes(ghosting: int = 2, aliasing: int = 2, batch: int = 1) -> Tensor:
+    """True classes, the same for all pixels."""
+    return torch.tensor([ghosting, aliasing]).float()[None, :, None, None].expand(batch, 2, *SIZE).contiguous()
+
+
+def remembered(frame: Frame, **changes: Any) -> State:
+    """A state in which there is a history."""
+    state = Classifier(TINY).start(frame)
+    return replace(state, known=torch.ones_like(frame.reset), time=frame.time - 1, **changes)
+
+
+# The networks.
+
+
+def test_all_scales_together_make_32_channels() -> None:
+    """Halves of 32, 64 and 128 channels and all of 256, spread over 1, 4, 16 and 64 pixels: 16 + 8 + 4 + 4."""
+    network = Network(12, (32, 64, 128, 256))
+    assert network.joined(torch.rand(1, 12, 16, 24)).shape == (1, 32, 16, 24)
+    assert network(torch.rand(1, 12, 16, 24)).shape == (1, 6, 16, 24)
+
+
+def test_sizes_are_those_of_the_layers() -> None:
+    method = Classifier().eval()
+    scales = [(92, 32), (16, 64), (32, 128), (64, 256)]
+    blocks = [(a * b, 9 * b, b * b) for a, b in scales]
+    decoder = 3 * 32 * 32 + 32 * 6
+    weights = sum(map(sum, blocks)) + decoder + 19 * 64 + 64
+    biases = sum(3 * b for _, b in scales) + 3 * 32 + 6 + 64 + 1
+    norms = 2 * (sum(2 * b for _, b in scales) + 3 * 32 + 6)
+    assert parameters(method) == weights + biases + norms == 124_083
+    frame = shot(0, 2.0, size=(16, 16))
+    state = method.start(frame)
+    half = sum(sum(block) / 4**k for k, block in enumerate(blocks)) + decoder
+    assert multiply_accumulates(method, lambda: method(frame, state)) == 32 * 32 * (half / 4 + 20 * 64)
+
+
+def test_coarse_scales_see_far_and_the_mixing_network_one_pixel() -> None:
+    method = tiny()
+    x = torch.rand(1, 12 + 7, 8, 8)
+    y = x.clone()
+    y[..., 3, 5] += 1
+    changed = (method.mix(x) != method.mix(y))[0, 0].nonzero()
+    assert changed.tolist() == [[3, 5]]
+    network = Network(8, (32, 64, 128, 256)).eval()
+    a = torch.rand(1, 8, 16, 16)
+    b = a.clone()
+    b[..., :4, :4] += 20 * torch.randn(1, 8, 4, 4)
+    changed = (network.joined(a) != network.joined(b))[0, :, 8:, 8:]
+    assert bool(changed[28:].any())  # the coarsest scale sees all of the picture, the finest 3 x 3 pixels
+    assert not changed[:16].any()
+
+
+# The buffers.
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.5, 1.3])
+def test_the_last_image_lands_on_the_frame(speed: float) -> None:
+    """Jitter of neither frame matters: images have none."""
+    frame = shot(4, 2.0, gradient, speed=speed)
+    state = remembered(frame, image=tonemap(truth(3, 2.0, gradient, speed=speed)))
+    seen = look(frame, state, 2.0)
+    right = tonemap(truth(4, 2.0, gradient, speed=speed))
+    inner = (..., slice(6, -6), slice(6, -6))
+    torch.testing.assert_close(seen.history[inner], right[inner], atol=1e-4, rtol=0)
+    torch.testing.assert_close(seen.current[inner], right[inner], atol=1e-3, rtol=0)
+    assert bool(seen.valid[inner].all())
+
+
+def test_depths_differ_by_their_reverse_relative_to_the_nearer_one() -> None:
+    """What stood at 2 uncovers what stands at 5: (1/2 - 1/5) / (1/2). What comes nearer is below 0."""
+    frame = shot(1, 2.0)
+    for there, expected in ((2.0, 0.6), (5.0, 0.0), (8.0, -0.375)):
+        seen = look(frame, remembered(frame, depth=torch.full((1, 1, *SIZE), 1 / there)), 2.0)
+        torch.testing.assert_close(seen.difference, torch.full_like(seen.difference, expected), atol=1e-5, rtol=0)
+
+
+def test_the_range_of_colours_is_that_of_the_last_frames_neighbourhoods() -> None:
+    method = tiny()
+    _, state = method(frame := shot(0, 2.0), method.start(shot(0, 2.0)))
+    shown = encode_srgb(tonemap(frame.color))[0, 0]
+    column, row = 9, 5  # of the frame; its jitter is (0, -1/6), so display pixels 10, 11 and 18, 19 lie around it
+    around = shown[row - 1 : row + 2, column - 1 : column + 2]
+    found = state.range[0, :, 2 * row, 2 * column]
+    torch.testing.assert_close(found[0], around.min())
+    torch.testing.assert_close(found[3], around.max())
+    later = look(shot(1, 2.0, speed=3.0), state, 2.0)
+    assert torch.equal(later.range[0, :, 10, 24], state.range[0, :, 10, 18])
+
+
+def test_classes_are_carried_between_pixels() -> None:
+    frame = shot(1, 2.0, speed=0.25)  # half a display pixel
+    each = torch.zeros(1, 6, *SIZE)
+    each[:, 0, :, 10] = 1
+    seen = look(frame, remembered(frame, classes=each), 2.0)
+    torch.testing.assert_close(seen.classes[0, 0, 20, 9:13], torch.tensor([0.0, 0.5, 0.5, 0.0]), atol=1e-3, rtol=0)
+
+
+def test_motion_is_that_of_what_lies_in_front() -> None:
+    frame = shot(1, 2.0)
+    depth, motion = torch.full((1, 1, 18, 24), 5.0), torch.zeros(1, 2, 18, 24)
+    depth[..., 10], motion[:, 0, :, 10] = 2.0, -1.5
+    seen = look(replace(frame, depth=depth, motion=motion), remembered(frame), 2.0)
+    assert seen.motion[0, 0, 10, 16:26].tolist() == [0.0] * 2 + [-3.0] * 6 + [0.0] * 2
+
+
+# Counters.
+
+
+def test_the_counter_counts_frames_until_history_fails() -> None:
+    method, frames = tiny(), [shot(t, 2.0) for t in range(5)]
+    hidden = classes()
+    hidden[..., 7, 9] = 0
+    state, found = method.start(frames[0]), []
+    with torch.no_grad():
+        for t, frame in enumerate(frames):
+            made = method.make(frame, state, hidden if t == 3 else classes(1))
+            found.append((float(made.counter[0, 0, 0, 0]), float(made.counter[0, 0, 7, 9])))
+            state = replace(state, image=made.image, counter=made.counter, known=torch.tensor([True]), time=frame.time)
+    assert found == [(0, 0), (1, 1), (2, 2), (3, 0), (4, 1)]
+
+
+def test_the_counter_moves_with_the_picture_and_starts_off_the_screen() -> None:
+    frame = shot(1, 2.0, speed=2.0)
+    columns = torch.arange(48.0).expand(1, 1, *SIZE).contiguous()
+    with torch.no_grad():
+        made = tiny().make(frame, remembered(frame, counter=columns), classes())
+    assert made.counter[0, 0, 3].tolist() == [0.0] * 4 + [float(k + 1) for k in range(44)]
+
+
+# Mixing.
+
+
+def test_the_image_lies_between_frame_and_history() -> None:
+    method = tiny()
+    frame = shot(1, 2.0)
+    with torch.no_grad():
+        made = method.make(frame, remembered(frame, image=torch.rand(1, 3, *SIZE)))
+    low, high = (f(made.seen.current, made.seen.history) for f in (torch.minimum, torch.maximum))
+    assert bool(((made.image >= low - 1e-6) & (made.image <= high + 1e-6)).all())
+    assert float((made.image - made.seen.current).abs().mean()) > 0.05
+    assert float((made.image - made.seen.history).abs().mean()) > 0.005
+
+
+def test_true_classes_take_the_place_of_the_networks() -> None:
+    method, frame = tiny(), shot(1, 2.0)
+    state = remembered(frame, image=torch.rand(1, 3, *SIZE))
+    with torch.no_grad():
+        hidden, fine, own = (method.make(frame, state, t) for t in (classes(0, 1), classes(), None))
+    assert torch.equal(hidden.classes[0, :, 4, 4], torch.tensor([1.0, 0, 0, 0, 1, 0]))
+    assert bool((hidden.image != fine.image).any())
+    assert torch.equal(hidden.logits, own.logits)
+    torch.testing.assert_close(own.classes.unflatten(1, (2, 3)).sum(2), torch.ones(1, 2, *SIZE))
+    assert torch.equal(own.classes, likelihoods(own.logits))
+
+
+@pytest.mark.parametrize("name", ["counter", "carried", "range"])
+def test_an_ablation_does_not_see_what_it_leaves_out(name: str) -> None:
+    frame = shot(1, 2.0)
+    memory = {"counter": "counter", "carried": "classes", "range": "range"}[name]
+    plain = remembered(frame, image=torch.rand(1, 3, *SIZE))
+    other = replace(plain, **{memory: torch.rand_like(getattr(plain, memory)) * 3})
+    with torch.no_grad():
+        seen, blind = (
+            bool((method.make(frame, plain).image != method.make(frame, other).image).any())
+            for method in (tiny(), tiny(replace(TINY, **{name: False})))
+        )
+    assert seen
+    assert not blind
+
+
+def test_without_a_classifier_nothing_is_classified() -> None:
+    method = tiny(replace(TINY, classifier=False))
+    frames = [shot(t, 2.0) for t in range(3)]
+    state = state_after(method, frames)
+    torch.testing.assert_close(state.classes, torch.full_like(state.classes, 1 / 3))
+    assert bool((state.counter == 2).all())
+    assert parameters(method) == 13 * 8 + 8 + 8 + 1
+
+
+# The call.
+
+
+def test_a_reset_is_a_fresh_start_whatever_its_motion_says() -> None:
+    method = tiny()
+    after = [shot(t, 2.0, speed=0.4) for t in range(3)]
+    after[0] = replace(after[0], motion=torch.full_like(after[0].motion, float("nan")))  # type: ignore[arg-type]
+    fresh = played(method, after)
+    cut = played(method, [shot(t, 2.0, gradient) for t in range(3)] + after)[3:]
+    assert all(torch.equal(a, b) for a, b in zip(cut, fresh, strict=True))
+
+
+def test_what_comes_from_off_screen_is_this_frames_alone() -> None:
+    method = tiny()
+    frames = [shot(0, 2.0, gradient), shot(1, 2.0)]
+    frames[1] = replace(frames[1], motion=torch.full_like(frames[1].motion, 100.0))  # type: ignore[arg-type]
+    alone = replace(frames[1], reset=torch.tensor([True]))
+    assert torch.equal(played(method, frames)[1], played(method, [alone])[0])
+
+
+def test_a_batch_is_its_images_one_resetting() -> None:
+    method = tiny()
+    one = [shot(t, 2.0, speed=0.4) for t in range(4)]
+    two = [replace(shot(t + 5, 2.0, gradient, speed=-0.7), reset=torch.tensor([t in (0, 2)])) for t in range(4)]
+    apart = [torch.cat(pair) for pair in zip(played(method, one), played(method, two), strict=True)]
+    together = played(method, [concatenate(pair) for pair in zip(one, two, strict=True)])
+    torch.testing.assert_close(torch.stack(together), torch.stack(apart), atol=1e-5, rtol=1e-5)
+
+
+def test_frame_and_state_stay_as_they_were() -> None:
+    method = tiny()
+    state, frame = state_after(method, [shot(t, 2.0) for t in range(2)]), shot(2, 2.0, speed=0.3)
+    before = [leaf.clone() for leaf in tree_leaves((frame, state))]
+    method(frame, state)
+    assert all(torch.equal(a, b) for a, b in zip(before, tree_leaves((frame, state)), strict=True))
+
+
+@pytest.mark.parametrize("config", [replace(TINY, scale=1.5), replace(TINY, scale=3.0), *ABLATIONS])
+def test_every_configuration_runs_at_odd_sizes(config: Config) -> None:
+    frames = [shot(t, config.scale, size=(9, 13), speed=0.6) for t in range(3)]
+    for image in played(tiny(config), frames):
+        assert image.shape == (1, 3, round(9 * config.scale), round(13 * config.scale))
+        assert bool(torch.isfinite(image).all())
+        assert bool((image >= 0).all())
+
+
+def test_what_is_missing_is_said_in_a_sentence() -> None:
+    frame = replace(shot(0, 2.0), motion=None)
+    with pytest.raises(ValueError, match=r"classifier makes shaded frames larger .* has no motion"):
+        Classifier(TINY).start(frame)
+
+
+# Training.
+
+
+def targets(count: int, **kinds: int) -> Tensor:
+    """Truth of the frames 1, 2 ... of a still picture, and classes."""
+    return torch.stack([torch.cat((truth(0, 2.0), classes(**kinds)), 1)] * count, 1)
+
+
+@pytest.mark.parametrize("config", [TINY, ABLATIONS[-1]])
+def test_gradients_reach_every_layer_and_losses_are_numbers_in_half_the_bits(config: Config) -> None:
+    method, frames = tiny(config).train(), [shot(t, 2.0) for t in range(3)]
+    with torch.autocast("cpu", torch.bfloat16):
+        terms = loss(method, frames, targets(2, ghosting=1, aliasing=0))
+    named = {"l1", "temporal"} | ({"ghosting", "aliasing"} if config.classifier else set())
+    assert set(terms) == named
+    torch.stack(list(terms.values())).sum().backward()
+    for name, p in method.named_parameters():
+        assert p.grad is not None, name
+        assert bool(torch.isfinite(p.grad).all()), name
+        if "bias" not in name:  # those before a normalisation change nothing
+            assert bool(p.grad.abs().sum() > 0), name
+
+
+def test_the_loss_of_true_labels_is_made_with_them() -> None:
+    method, frames = tiny(), [shot(t, 2.0) for t in range(3)]
+    truth_of_both = targets(2, ghosting=0, aliasing=1)
+    with torch.no_grad():
+        own, given = loss(method, frames, truth_of_both), loss_with_true_labels(method, frames, truth_of_both)
+        state, total = method.start(frames[0]), []
+        for frame, target in zip(frames, (None, *truth_of_both.unbind(1)), strict=True):
+            made = method.make(frame, state, None if target is None else target[:, 3:])
+            kept = {"image": made.image, "depth": made.seen.depth, "counter": made.counter, "classes": made.classes}
+            state = replace(state, **kept, range=made.seen.range_now, known=torch.tensor([True]), time=frame.time)
+            total += [] if target is None else [errors(made, target, None)]
+    assert float(own["l1"]) != float(given["l1"])
+    for name in ("l1", "ghosting", "aliasing"):
+        assert float(given[name]) == pytest.approx(sum(float(each[name]) for each in total) / 2, rel=1e-4)
+
+
+def test_errors_are_least_where_colour_and_classes_are_right() -> None:
+    """A still picture shown as it is, sure of its classes: nothing is left. Sure of others: much."""
+    method, frame = tiny(), shot(1, 2.0)
+    right = truth(0, 2.0)
+    with torch.no_grad():
+        made = method.make(frame, remembered(frame, image=tonemap(right)))
+        target = torch.cat((right, classes(1, 0)), 1)
+        sure = 30 * torch.cat([one_hot(target[:, k]) for k in (3, 4)], 1)
+        perfect = replace(made, image=tonemap(right), logits=sure)
+        found = errors(perfect, target, tonemap(right))
+        wrong = errors(replace(perfect, logits=sure.flip(1), image=0.5 * tonemap(right)), target, tonemap(right))
+        held = errors(replace(perfect, image=0.5 * tonemap(right)), torch.cat((right, classes()), 1), tonemap(right))
+    assert all(float(term) == pytest.approx(0, abs=1e-4) for term in found.values())
+    assert float(wrong["ghosting"]) > 1
+    assert float(wrong["aliasing"]) > 1
+    assert float(wrong["l1"]) > 0.5
+    assert float(wrong["temporal"]) == 0  # history does not hold where light changed
+    assert float(held["temporal"]) > 0.1
+
+
+@pytest.fixture
+def clip(tmp_path: Path) -> Path:
+    lefts = (6, 10, 14)
+    return write(tmp_path / "clip", [card(x) for x in lefts], [sliding(x, 4) for x in lefts])
+
+
+SMALL = replace(recipe, shaded=3, truths=2, crop=(8, 10), recolour=False, stops=0.0)
+
+
+def test_samples_carry_the_classes_of_their_place_and_frames(clip: Path, tmp_path: Path) -> None:
+    source = footage(open_clip(clip), tmp_path / "cache", labels=True)
+    samples = Samples([source], SMALL, fields=Classifier.needs, seed=0, scale=2)
+    frames, found = samples.cut(source, 0, (2, 3), (8, 10))
+    assert found.shape == (1, 2, 5, 16, 20)
+    assert frames[0].size == (8, 10)
+    for k in (0, 1):
+        right = labels(open_clip(clip), k + 1)
+        both = torch.cat((right.ghosting, right.aliasing), 1)[..., 4:20, 6:26].float()
+        assert torch.equal(found[:, k, 3:], both)
+    assert bool((found[:, :, 3] == 0).any())
+
+
+@pytest.mark.parametrize("recolour", [False, True])
+def test_classes_are_turned_with_colours_and_never_brightened(clip: Path, tmp_path: Path, recolour: bool) -> None:
+    plain = footage(open_clip(clip), tmp_path / "cache", labels=True)
+    bright = (plain.arrays["reference"][:, :2] > 0.4).astype(np.uint8) * 2
+    source = Footage(plain.clip, {**plain.arrays, "labels": bright})
+    changed = replace(SMALL, recolour=recolour, stops=2.0)
+    samples = Samples([source], changed, fields=Classifier.needs, seed=3, scale=2)
+    for number in range(6):
+        found = samples[number].targets
+        middle = (found[:, :, :3].amax((3, 4), keepdim=True) + found[:, :, :3].amin((3, 4), keepdim=True)) / 2
+        if float(found[:, :, 3].std()) > 0:
+            assert torch.equal(found[:, :, 3], (found[:, :, 0] > middle[:, :, 0]) * 2.0)
+        assert set(found[:, :, 3:].unique().tolist()) <= {0.0, 2.0}
+
+
+def test_labels_are_refused_where_there_is_nothing_to_make_them_of(clip: Path, tmp_path: Path) -> None:
+    for path in (clip / "ranges").iterdir():
+        path.unlink()
+    with pytest.raises(ClipError, match="has no sample ranges"):
+        footage(open_clip(clip), tmp_path / "cache", labels=True)
+    footage(open_clip(clip), tmp_path / "cache")
+
+
+def test_what_is_trained_differs_in_what_its_name_says() -> None:
+    made = {name: make() for name, (make, _) in TRAINABLE.items() if name.startswith("classifier")}
+    configs = {name: getattr(method, "config") for name, method in made.items()}  # noqa: B009
+    assert configs["classifier"] == configs["classifier-true-labels"] == Config()
+    assert configs["classifier-none"] == Config(classifier=False)
+    for part in ("counter", "carried", "range"):
+        assert configs[f"classifier-without-{part}"] == Config(**{part: False})
+    assert TRAINABLE["classifier-true-labels"][1].loss is loss_with_true_labels
+
+
+# Its classes beside its images.
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    torch.manual_seed(0)
+    method = Classifier()
+    path = tmp_path / "weights.safetensors"
+    checkpoint.save(path, method.state_dict(), {**checkpoint.describe("classifier", method), "step": 1})
+    return path
+
+
+def test_labels_are_written_beside_the_images(clip: Path, weights: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    method = f"classifier={weights}"
+    assert (
+        main(["upsample", str(clip), "-o", str(out), "--method", method, "--format", "png", "--debug", "labels"]) == 0
+    )
+    assert {p.name for p in out.glob("*.png")} == {f"000{k}{s}.png" for k in (1, 2, 3) for s in ("", ".labels")}
+    opened = open_clip(clip)
+    found = likeliest(state_after(method_named(method).eval(), [opened[k] for k in range(3)]).classes)
+    page = np.asarray(Image.open(out / "0003.labels.png")).astype(int)[-24:, :40]
+    colourful = page.max(2) - page.min(2) > 40
+    assert np.array_equal(colourful, found.ghosting[0, 0].numpy() != 2)
+
+
+def test_labels_that_nobody_makes_or_keeps_are_refused(
+    clip: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for method, name, sentence in (
+        ("taau", "out", "taau does not classify pixels"),
+        (f"classifier={weights}", "out.mp4", "a film has none; use --format png"),
+    ):
+        asked = ["upsample", str(clip), "-o", str(tmp_path / name), "--method", method, "--debug", "labels"]
+        assert main(asked) == 2
+        assert sentence in capsys.readouterr().err
+        assert not (tmp_path / name).exists()
