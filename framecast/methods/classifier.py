@@ -61,7 +61,7 @@ LONG = 16.0
 OLD = -1.5
 """What the weight of the frame starts from in training, before the sigmoid: 0.18."""
 
-SHARES = {"ghosting": (0.015, 0.004, 0.981), "aliasing": (0.13, 0.16, 0.71)}
+SHARES = {"ghosting": (0.015, 0.005, 0.98), "aliasing": (0.13, 0.16, 0.71)}
 """About how many pixels of the training clips are of each class."""
 
 
