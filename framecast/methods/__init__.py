@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from torch import nn
 
-from framecast.methods import extranet, extrass, mnss, nsrr
+from framecast.methods import classifier, extranet, extrass, mnss, nsrr
 from framecast.methods.blend import Blend
 from framecast.methods.bsr import BSR
 from framecast.methods.classifier import Classifier
