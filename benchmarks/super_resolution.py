@@ -25,8 +25,14 @@ PAGE = Path("docs/results/super-resolution.md")
 ROWS = PAGE.with_suffix(".json")
 SINGLE = ("bilinear", "lanczos")
 TEMPORAL = ("taau", "fsr2", "nsrr", "mnss", "mobfgsr")
-METRICS = ("psnr", "ssim", "flip", "flicker")
+METRICS = ("psnr", "ssim", "flip", "warped")
 TITLE = "# Super-resolution"
+HOW = (
+    "PSNR / SSIM / FLIP / warped against references of twice the size, the best in bold. warped is how much more or",
+    "less an image changes along true motion than the truth does: what flickers by itself. Metrics and regions:",
+    "[evaluation](../evaluation.md). Clips:",
+    "",
+)
 
 
 def quality(
@@ -47,7 +53,7 @@ def quality(
     """
     opened = [open_clip(path) for path in clips]
     rows = read_results(json) if json.is_file() else []
-    settings = Settings(METRICS, scale=2.0)
+    settings = Settings((*METRICS, "flicker"), scale=2.0)
     for clip, label in zip(opened, labels(opened), strict=True):
         wanted = [(name, name, "pass") for name in methods.split(",")]
         if "mobfgsr" in methods.split(","):
@@ -72,8 +78,7 @@ def quality(
         page,
         "Quality",
         [
-            "PSNR / SSIM / FLIP / flicker against references of twice the size (the best in bold).",
-            "",
+            *HOW,
             *sizes,
             *parts(rows),
         ],
@@ -81,13 +86,14 @@ def quality(
 
 
 def parts(rows: Sequence[Row]) -> list[str]:
-    """Tables of all pixels, of disoccluded ones, and of times."""
+    """Tables of all pixels and of disoccluded ones, and of the step between generated frames and shaded ones."""
     several = with_means(rows) if len({row.clip for row in rows}) > 1 else list(rows)
     lines: list[str] = []
     for region in ("all", "disoccluded"):
         part = [row for row in several if row.region == region]
         lines += ["", f"### {TITLES[region].capitalize()}", "", *table(part, METRICS)]
-    return [*lines, "", "### Milliseconds a frame, eager", "", *table(several, ("milliseconds",))]
+    step = [row for row in several if (row.metric, row.region) == ("flicker", "all")]
+    return [*lines, "", "### Flicker: from a generated frame to the same one shaded", "", *table(step, ("flicker",))]
 
 
 def laws(clips: tyro.conf.Positional[tuple[Path, ...]], page: Path = PAGE) -> None:

@@ -145,7 +145,13 @@ class Clip:
         layers = self.load(record)
         for name, pixels in layers.items():
             if pixels.shape[-2:] != self.size:
-                raise ClipError(_wrong_size(self.path, record.number, pixels.shape[-2:], self.size))
+                (height, width), some = pixels.shape[-2:], any(p.shape[-2:] == self.size for p in layers.values())
+                if not some:
+                    raise ClipError(_wrong_size(self.path, record.number, (height, width), self.size))
+                raise ClipError(
+                    f"{name} of frame {record.number} of {self.path} has {width}x{height} pixels and the frame "
+                    f"{self.size[1]}x{self.size[0]}; write every layer at the size of the colour"
+                )
             if not np.isfinite(pixels).all():
                 bad = int(np.count_nonzero(~np.isfinite(pixels)))
                 raise ClipError(
@@ -230,7 +236,7 @@ def _wrong_size(path: Path, number: int, got: tuple[int, ...], want: tuple[int, 
 
 def read_layers(path: Path, names: Mapping[str, tuple[str, ...]]) -> Layers:
     """Those of the named buffers that an EXR file holds completely, each `c h w`."""
-    channels = exr.read(path).channels
+    channels = exr.read(path, mixed=True).channels
     return {k: np.stack([channels[c] for c in names[k]]) for k in names if all(c in channels for c in names[k])}
 
 

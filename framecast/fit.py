@@ -85,14 +85,19 @@ def fitting(clips: Sequence[Clip], mode: Mode, scales: Sequence[float | None] = 
     return tuple(name for name, m in able.items() if not any(lacking(clip, m) for clip in clips))
 
 
+def alike(other: Method, method: Method) -> bool:
+    """Whether another method can be had at the size of a method, for some of its modes."""
+    return scale_of(method) in (scale_of(other), *other.scales) and bool({*other.modes} & {*method.modes})
+
+
 def require(clip: Clip, name: str, method: Method) -> None:
     """Raises ClipError where the clip lacks a field that the method called `name` needs, and says what to do."""
     missing = lacking(clip, method)
     if not missing:
         return
     passes = list(dict.fromkeys(PASSES[field] for field in missing if field in PASSES))
-    able = {other: method_named(other) for other in METHODS}
-    able = {other: made for other, made in able.items() if not lacking(clip, made)}
+    able: dict[str, Method] = {other: make() for other, make in METHODS.items()}
+    able = {other: m for other, m in able.items() if alike(m, method) and not lacking(clip, m)}
     advice = [f"export the {' and '.join(passes)} pass{'es' if len(passes) > 1 else ''}"] if passes else []
     if able:
         advice.append(f"use --method {max(able, key=lambda other: len(able[other].needs))}")

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 import torch
 from conftest import disc_frame, write_disc_clip
@@ -142,6 +143,23 @@ def test_two_sizes_in_one_clip_are_refused(tmp_path: Path) -> None:
     write_frame(tmp_path, clip.records[1], {"color": np.zeros((3, 4, 6), np.float32)})
     with pytest.raises(ClipError, match="frame 2 is 6x4 but the first one is 48x32"):
         open_clip(tmp_path)
+
+
+def test_a_layer_of_another_size_is_refused(disc_clip: Clip) -> None:
+    path = disc_clip.path / "frames" / "0001.exr"
+    channels, corner = exr.read(path).channels, np.zeros(2, np.int32)
+    height, width = disc_clip.size
+    full, half = (np.array([width // k - 1, height // k - 1], np.int32) for k in (1, 2))
+    vectors = {name: pixels[::2, ::2].copy() for name, pixels in channels.items() if name.startswith("motion.")}
+    common = {"displayWindow": (corner, full), "type": OpenEXR.scanlineimage}
+    rest = {name: pixels for name, pixels in channels.items() if name not in vectors}
+    parts = [("frame", full, rest), ("vectors", half, vectors)]
+    path.unlink()
+    OpenEXR.File(
+        [OpenEXR.Part({**common, "name": name, "dataWindow": (corner, end)}, held) for name, end, held in parts]
+    ).write(str(path))
+    with pytest.raises(ClipError, match=rf"motion of frame 1 .* has {width // 2}x{height // 2} pixels and the frame"):
+        disc_clip[0]
 
 
 @pytest.mark.parametrize("keep", [0.9, 0.5, 0.02])

@@ -235,6 +235,9 @@ def test_a_missing_field_is_named_with_what_to_do(disc_clip: Clip, probe: Callab
     with pytest.raises(ClipError, match=r"has no projection \(it has .* needs it\. Use --method "):
         require(disc_clip, "probe", probe(needs=("view", "projection")))
     require(disc_clip, "probe", probe(needs=("color", "view"), needs_generated=("depth",)))
+    still = without(without(disc_clip, "motion"), "motion_next")
+    with pytest.raises(ClipError, match=r"Export the Vector pass, or use --method (bilinear|lanczos)$"):
+        require(still, "taau", METHODS["taau"]())
 
 
 def test_bad_input_is_one_sentence(disc_clip: Clip, probe: Callable, tmp_path: Path) -> None:

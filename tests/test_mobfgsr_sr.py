@@ -155,3 +155,12 @@ def test_bright_spots_stay_finite_and_no_image_is_negative() -> None:
         assert bool(torch.isfinite(image).all())
         assert float(image.min()) >= 0
         assert float(image.max()) <= 6.5e4
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+def test_motion_of_another_size_is_refused_in_a_sentence(scale: float) -> None:
+    method, frame = MobFGSR(Config(scale=scale)), shot(0)
+    state, other = method.start(frame), shot(1)
+    object.__setattr__(other, "motion", torch.zeros(1, 2, H // 2, W // 2))  # past the checks of types, only tests have
+    with pytest.raises(ValueError, match=r"motion has 12x8 pixels and color 24x16; mobfgsr needs all buffers"):
+        method(other, state)

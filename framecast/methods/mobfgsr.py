@@ -43,7 +43,7 @@ from torch import Tensor, nn
 from framecast.color import luminance, to_display, tonemap, untonemap
 from framecast.frame import Frame
 from framecast.methods import mobfgsr_sr as sr
-from framecast.methods.larger import uncovered
+from framecast.methods.larger import require, uncovered
 from framecast.methods.pair import Pair, advance, begin
 from framecast.resample import enlarged_motion, nearest_sample
 from framecast.table import resample, shipped_table
@@ -114,6 +114,7 @@ class MobFGSR(nn.Module):
 
     def start(self, frame: Frame) -> State:
         """State before the first frame: nothing but that frame."""
+        require(frame, "mobfgsr", self.needs)
         pair = begin(self.prepared(frame), self.keeps)
         return sr.begin(pair, frame, self.samples(frame)) if self.enlarges else pair
 
@@ -124,6 +125,7 @@ class MobFGSR(nn.Module):
         taken (interpolation), or the newest frame's surroundings (extrapolation).
         """
         if frame.color is not None:
+            require(frame, "mobfgsr", self.needs)
             state = self.shade(frame, state)
             return (frame.color if isinstance(state, Pair) else untonemap(state.image)), state
         if bool((frame.time > pair_of(state).current.time).all()):
