@@ -14,6 +14,7 @@ from framecast import exr
 from framecast.cli import main
 from framecast.clip import Clip, finish, open_clip, write_frame
 from framecast.color import to_display
+from framecast.results import VERSION
 from framecast.upsample import Job, upsample
 
 
@@ -213,7 +214,7 @@ def test_evaluate_writes_rows(disc_clip: Clip, tmp_path: Path) -> None:
     out = tmp_path / "r.json"
     assert main(["evaluate", str(disc_clip.path), "--methods", "hold,mobfgsr", "--json", str(out)]) == 0
     results = json.loads(out.read_text())
-    assert results["version"] == 1
+    assert results["version"] == VERSION
     assert {tuple(sorted(row)) for row in results["rows"]} == {
         ("clip", "method", "metric", "mode", "region", "role", "scale", "value")
     }
