@@ -98,7 +98,7 @@ def guided_warp(
 
     A shift of whole pixels over like surfaces returns the shifted image exactly; any other bilinear one.
     """
-    widths = now.new_tensor([config.albedo] * 3 + [config.normal] * 3 + [1 / config.alike]).view(1, 7, 1, 1)
+    widths = now.new_tensor([config.albedo] * 3 + [config.normal] * 4).view(1, 7, 1, 1)
     here, there = now / widths, past.guides / widths
     straight, read = warp(torch.cat((past.light, there), 1), motion).split((3, 7), 1)
     kept = (squared(read - here) <= config.alike**2) & inside(motion)
