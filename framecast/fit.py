@@ -35,7 +35,7 @@ def method_named(name: str, scale: float | None = None) -> Method:
     if name not in names:
         advice = f"; {name} has no weights of its own: use {name}=FILE" if name in TRAINABLE else ""
         raise ValueError(f"there is no method {name!r}; use one of {', '.join(names)}{advice}")
-    method: Method = fill(TRAINABLE[name][0](), name, Path(weights)) if weights else METHODS[name]()
+    method: Method = fill(TRAINABLE[name][0](), name, Path(weights)).eval() if weights else METHODS[name]()
     if scale is None or scale == scale_of(method):
         return method
     if scale not in method.scales:

@@ -13,7 +13,7 @@ M = TypeVar("M", bound=nn.Module)
 
 
 def shipped(name: str, method: M) -> M:
-    """The method with the weights NAME.safetensors of this folder, which may be stored in half precision.
+    """The method, ready to run, with the weights NAME.safetensors of this folder, perhaps stored in half precision.
 
     Raises:
         FileNotFoundError: there is no such file. ValueError: it is damaged, or not of this method.
@@ -26,4 +26,4 @@ def shipped(name: str, method: M) -> M:
     except (SafetensorError, RuntimeError) as error:
         what = str(error).splitlines()[-1].strip()
         raise ValueError(f"{path} is damaged, or of another version ({what}); install framecast again") from error
-    return method
+    return method.eval()
