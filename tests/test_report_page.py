@@ -94,7 +94,12 @@ class Opened:
     def at(self, **state: object) -> None:
         """Goes to an address that says what is on show."""
         query = "&".join(f"{key}={value}" for key, value in state.items())
-        self.page.evaluate("(query) => { location.hash = query; }", query)
+        script = """(query) => new Promise((then) => {
+            const before = location.hash;
+            addEventListener('hashchange', () => then(), { once: true });  // after the page's own
+            location.hash = query;
+            if (location.hash === before) then(); })"""
+        self.page.evaluate(script, query)
         self.settled()
 
     def pixel(self, x: int, y: int, place: tuple[float, float] = (0.5, 0.5), **state: object) -> torch.Tensor:
