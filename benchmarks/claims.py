@@ -170,7 +170,7 @@ CLAIMS = (
     ),
     Claim(
         NET,
-        "the network improves on its warp in disocclusions",
+        "the method improves on occlusion motion in disocclusions",
         "4",
         of("E", "extranet"),
         of("E", "warp-occlusion"),

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor, nn
+from torch import Tensor, library, nn
 
 from framecast.color import decode_log, modulate
 from framecast.frame import SKY, Frame
@@ -110,7 +110,7 @@ def guided_warp(
     return torch.where(kept, straight, found[:, :3]), kept | (found[:, 3:] > LIKE)
 
 
-@torch.library.custom_op("framecast::search_elsewhere", mutates_args=())
+@library.custom_op("framecast::search_elsewhere", mutates_args=())
 def search_elsewhere(kept: Tensor, image: Tensor, there: Tensor, here: Tensor, motion: Tensor, screen: float) -> Tensor:
     """Candidates searched where the straight read is not kept: on few cores they are what takes the time.
 

@@ -17,8 +17,8 @@ Differs:  each choice measured in docs/results/frame-generation.md.
           Gaps copy the nearest surface's vector as the public code does; the paper's mean filter mixes surfaces.
           The public code splats extrapolated pixels on straight and gathers them on quadratic paths; here both are one.
           At scale 1 images are read bilinearly, from compressed colour: 29.83 dB interpolated and 27.26 extrapolated
-          (linear colour: 29.63 and 27.21). `Config(kernel="table")` gives 30.14 and 27.28, and on a CPU takes several
-          times as long to run and to compile.
+          (linear colour: 29.63 and 27.21). `Config(kernel="table")` gives 30.14 and 27.28, from sixteen pixels
+          in place of four.
           One table for all scales: trained on references or on shaded colour, tables differ by 0.04 dB.
           Eq. 2 as printed loses light (its weights do not sum to 1). Here 1 - b d is what a sample counts against the
           history, 1 / a - 1 the most that a moving history counts, and Catmull-Rom makes the sample's image; a = 0.5,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
-from torch import Tensor
+from torch import Tensor, library
 
 from framecast.color import demodulate, encode_log
 from framecast.frame import SKY, Frame, world_position
@@ -132,7 +132,7 @@ def valid(now: Geometry, past: Geometry, motion: Float[Tensor, "b 2 h w"]) -> Bo
 
 
 def squared(vectors: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 1 h w"]:
-    """Squared length, plane by plane: many times faster than `norm` over few channels."""
+    """Squared length, plane by plane: many times faster than `norm` over three channels."""
     first, *others = vectors.unbind(1)
     total = first * first
     for plane in others:
@@ -191,7 +191,7 @@ def likeness(
     return torch.cat((normal / TURNED, depth.clamp(max=SKY).log() / NEAR, other / ALIKE), 1)
 
 
-@torch.library.custom_op("framecast::fill_holes", mutates_args=())
+@library.custom_op("framecast::fill_holes", mutates_args=())
 def fill_holes(image: Tensor, known: Tensor, surfaces: Tensor, fallback: Tensor) -> Tensor:
     """`filled` at the holes alone: where cores are few, an eighth of the pixels takes an eighth of the time.
 
