@@ -2,8 +2,8 @@
 
 Both images are seen as an eye sees them at a distance: colours blurred by contrast sensitivity and compared in a
 perceptual space, edges and points compared apart, and the colour difference raised the more these differ. Every filter
-is separable and runs as blocks of matrix products: a pair of 320 x 180 takes 29 ms of processor time, the C++ of its authors,
-against which the tests hold it, 122 ms.
+is separable and runs as blocks of matrix products: a pair of 320 x 180 takes 29 ms of processor time, the C++ of its
+authors, against which the tests hold it, 122 ms.
 """
 
 import math
