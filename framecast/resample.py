@@ -177,6 +177,50 @@ def foreground(
     return pick(depth, nearest), pick(motion, nearest)
 
 
+def positions(small: tuple[int, int], size: tuple[int, int], jitter: Float[Tensor, "b 2"]) -> Float[Tensor, "b 2 H W"]:
+    """Column and row of the centre of each display pixel on the grid of samples, which lie on whole numbers."""
+    x, y = (
+        (torch.arange(large, device=jitter.device) + 0.5) * (few / large) - 0.5 - jitter[:, axis, None]
+        for axis, few, large in ((0, small[1], size[1]), (1, small[0], size[0]))
+    )
+    return torch.stack((x[:, None].expand(-1, *size), y[:, :, None].expand(-1, *size)), 1)
+
+
+def place(
+    values: Float[Tensor, "b c h w"], at: Float[Tensor, "b 2 H W"]
+) -> tuple[Float[Tensor, "b c H W"], Float[Tensor, "b 1 H W"]]:
+    """Samples on display pixels that lie at these columns and rows of their grid: the nearest one, and its cover.
+
+    Cover falls from 1 on the sample to 0 one display pixel away, per axis; beyond the grid it is 0. Value times cover
+    is what bilinear warping makes of the image with each sample in its display pixel and zeros between.
+    """
+    (height, width), size = values.shape[-2:], at.shape[-2:]
+    whole = at.round()
+    x, y = whole[:, 0].clamp(0, width - 1), whole[:, 1].clamp(0, height - 1)
+    away_x, away_y = (at[:, 0] - x).abs() * (size[1] / width), (at[:, 1] - y).abs() * (size[0] / height)
+    cover = (1 - away_x).clamp(min=0) * (1 - away_y).clamp(min=0)
+    image = torch.arange(values.shape[0], device=at.device)[:, None, None] * (height * width)
+    rows = values.permute(0, 2, 3, 1).flatten(0, 2)  # all channels of a sample lie together
+    nearest = rows[(y.long() * width + x.long() + image).flatten()]
+    return nearest.view(values.shape[0], *size, -1).permute(0, 3, 1, 2), cover[:, None]
+
+
+def centres(size: tuple[int, int], jitter: Float[Tensor, "b 2"]) -> Float[Tensor, "b h w 2"]:
+    """Where the samples of a frame lie on an image whose sides go from -1 to 1."""
+    x, y = (
+        (torch.arange(n, device=jitter.device) + 0.5 + jitter[:, axis, None]) * (2 / n) - 1
+        for axis, n in ((0, size[1]), (1, size[0]))
+    )
+    return torch.stack((x[:, None].expand(-1, *size), y[:, :, None].expand(-1, *size)), -1)
+
+
+def at_samples(
+    image: Float[Tensor, "b 3 H W"], small: tuple[int, int], jitter: Float[Tensor, "b 2"]
+) -> Float[Tensor, "b 3 h w"]:
+    """A display image at the places where a frame of this size has its samples."""
+    return F.grid_sample(image, centres(small, jitter), padding_mode="border", align_corners=False)
+
+
 # Warps that keep what is sharp.
 
 

@@ -11,7 +11,7 @@ from framecast.color import encode_srgb, tonemap
 from framecast.frame import Frame, concatenate, unshaded
 from framecast.methods.extrass import ExtraSS, loss, recipe
 from framecast.methods.guided import GuidedWarp
-from framecast.methods.nsrr import encoded
+from framecast.methods.larger import encoded
 from framecast.nets import multiply_accumulates, parameters
 from framecast.resample import enlarge, tent
 

@@ -23,6 +23,7 @@ LEVELS = {
     "resample": 1,
     "table": 1,
     "nets": 1,
+    "losses": 1,
     "weights": 1,
     "recipe": 1,
     "sample": 2,

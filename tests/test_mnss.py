@@ -10,8 +10,9 @@ from torch import Tensor, nn
 from torch.utils._pytree import tree_leaves
 
 from framecast.frame import Frame, concatenate, pixel_grid
-from framecast.methods.mnss import MNSS, Config, State, at_samples, loss, moved, shown
-from framecast.methods.nsrr import difference, encoded
+from framecast.losses import difference
+from framecast.methods.larger import encoded
+from framecast.methods.mnss import MNSS, Config, State, loss, moved, shown
 from framecast.nets import multiply_accumulates, parameters
 
 TINY = Config(inner=4, joint=2)

@@ -9,25 +9,13 @@ from torch import Tensor, nn
 from torch.utils._pytree import tree_leaves
 
 from framecast.frame import Frame, concatenate
+from framecast.losses import difference, similarity
 from framecast.methods.extranet import scattered
-from framecast.methods.nsrr import (
-    FAST,
-    NSRR,
-    WHITE,
-    Config,
-    average,
-    decoded,
-    difference,
-    encoded,
-    loss,
-    nearness,
-    place,
-    positions,
-    similarity,
-)
+from framecast.methods.larger import WHITE, decoded, encoded, nearness
+from framecast.methods.nsrr import FAST, NSRR, Config, average, loss
 from framecast.methods.taau import TAAU
 from framecast.nets import multiply_accumulates, parameters
-from framecast.resample import enlarge, tent
+from framecast.resample import enlarge, place, positions, tent
 from framecast.warp import scale_motion, warp
 
 TINY = Config(features=(4, 2), weights=4, widths=(4, 4, 8))

@@ -34,8 +34,7 @@ from torch import Tensor, nn
 
 from framecast.color import encode_srgb, tonemap, untonemap
 from framecast.frame import Frame, inverse_depth
-from framecast.methods.larger import require, warn_of_stillness
-from framecast.methods.nsrr import WHITE, nearness
+from framecast.methods.larger import WHITE, nearness, require, warn_of_stillness
 from framecast.methods.reproject import chosen, steps
 from framecast.nets import BatchNorm, padded
 from framecast.recipe import Recipe

@@ -30,11 +30,11 @@ from torch import Tensor, nn
 
 from framecast.color import decode_log, decode_srgb, modulate, tonemap
 from framecast.frame import Frame
+from framecast.losses import difference
 from framecast.methods.guided import Seen, extrapolated, guides
-from framecast.methods.larger import require
+from framecast.methods.larger import WHITE, decoded, encoded, nearness, require
 from framecast.methods.mnss import State as Last
 from framecast.methods.mnss import moved, shown
-from framecast.methods.nsrr import WHITE, decoded, difference, encoded, nearness
 from framecast.methods.reproject import light, surface
 from framecast.nets import padded
 from framecast.recipe import Recipe

@@ -1,12 +1,15 @@
-"""What every method that makes shaded frames larger asks of them, said before it meets a shape it cannot explain."""
+"""What methods that make frames larger share: what they ask of frames, said before they meet a shape that they cannot
+explain, and how networks see colour and depth."""
 
 import warnings
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
-from framecast.frame import Frame
+from framecast.color import decode_srgb, encode_srgb, tonemap, untonemap
+from framecast.frame import SKY, Frame
 from framecast.resample import size_at
 from framecast.warp import disoccluded, fetch, inside
 
@@ -23,6 +26,9 @@ ELSEWHERE = 0.25
 """Render pixels a frame by which two surfaces beside each other move apart."""
 NEARER = 0.05
 """Part of its depth by which what hid a surface was nearer."""
+
+WHITE = 1 - 2.0**-10
+"""Largest tone-mapped value that comes back: 1023 in scene-linear colour."""
 
 SAME, TWICE = Config(scale=1.0), Config()
 
@@ -86,3 +92,18 @@ def output_size(frame: Frame, scale: float) -> tuple[int, int]:
 def where(choose: Tensor, a: Tensor, b: Tensor) -> Tensor:
     """Of each batch entry `a` where chosen, else `b`."""
     return torch.where(choose.view(-1, *[1] * (a.ndim - 1)), a, b)
+
+
+def nearness(depth: Float[Tensor, "b 1 h w"]) -> Float[Tensor, "b 1 h w"]:
+    """Depth d as 1/2 + 5 / (d + 10): 1 at the camera, 1/2 at the sky, the same from frame to frame."""
+    return torch.where(depth < SKY, 0.5 + 5 / (depth + 10), 0.5)
+
+
+def decoded(image: Float[Tensor, "b 3 H W"]) -> Float[Tensor, "b 3 H W"]:
+    """Scene-linear colour of an image that was tone-mapped and put under the sRGB curve."""
+    return untonemap(decode_srgb(image.clamp(0, 1)).clamp(max=WHITE))
+
+
+def encoded(color: Float[Tensor, "b 3 H W"]) -> Float[Tensor, "b 3 H W"]:
+    """Inverse of `decoded`, up to WHITE."""
+    return encode_srgb(tonemap(color).clamp(max=WHITE))

@@ -31,11 +31,21 @@ from torch import Tensor, nn
 
 from framecast.color import decode_srgb, encode_srgb, tonemap
 from framecast.frame import Frame
-from framecast.methods.larger import require, warn_of_stillness
-from framecast.methods.nsrr import WHITE, decoded, difference, encoded, nearness, place, positions
+from framecast.losses import difference
+from framecast.methods.larger import WHITE, decoded, encoded, nearness, require, warn_of_stillness
 from framecast.methods.reproject import chosen, steps
 from framecast.recipe import Recipe
-from framecast.resample import enlarge, enlarged_motion, foreground, size_at, tent
+from framecast.resample import (
+    at_samples,
+    centres,
+    enlarge,
+    enlarged_motion,
+    foreground,
+    place,
+    positions,
+    size_at,
+    tent,
+)
 from framecast.warp import inside
 
 TRUST = 2.0
@@ -187,22 +197,6 @@ def moved(
     grid = centres(size, motion.new_zeros(1, 2)) + motion.movedim(1, -1) * across
     image = F.grid_sample(state.image, grid, mode="bicubic", padding_mode="border", align_corners=False)
     return image.clamp(0, WHITE), known.float()
-
-
-def centres(size: tuple[int, int], jitter: Float[Tensor, "b 2"]) -> Float[Tensor, "b h w 2"]:
-    """Where the samples of a frame lie on an image whose sides go from -1 to 1."""
-    x, y = (
-        (torch.arange(n, device=jitter.device) + 0.5 + jitter[:, axis, None]) * (2 / n) - 1
-        for axis, n in ((0, size[1]), (1, size[0]))
-    )
-    return torch.stack((x[:, None].expand(-1, *size), y[:, :, None].expand(-1, *size)), -1)
-
-
-def at_samples(
-    image: Float[Tensor, "b 3 H W"], small: tuple[int, int], jitter: Float[Tensor, "b 2"]
-) -> Float[Tensor, "b 3 h w"]:
-    """A display image at the places where a frame of this size has its samples."""
-    return F.grid_sample(image, centres(small, jitter), padding_mode="border", align_corners=False)
 
 
 def shown(image: Float[Tensor, "b 4 H W"]) -> Float[Tensor, "b 4 H W"]:

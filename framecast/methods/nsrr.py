@@ -26,19 +26,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from framecast.color import decode_srgb, encode_srgb, tonemap, untonemap
-from framecast.frame import SKY, Frame
+from framecast.color import encode_srgb, tonemap
+from framecast.frame import Frame
+from framecast.losses import difference
 from framecast.methods import larger
-from framecast.methods.larger import require, warn_of_stillness
+from framecast.methods.larger import WHITE, decoded, encoded, nearness, require, warn_of_stillness
 from framecast.methods.reproject import chosen, steps
 from framecast.methods.taau import TAAU, History
 from framecast.nets import padded
 from framecast.recipe import Recipe
-from framecast.resample import enlarge, nearest_sample, size_at, tent
+from framecast.resample import enlarge, nearest_sample, place, positions, size_at, tent
 from framecast.warp import chain, pick
 
 PAST = 4
@@ -46,9 +46,6 @@ PAST = 4
 
 BASE = 0.4
 """Weight, in the mean of all samples, of the current frame enlarged; a sample on the pixel's centre has 1."""
-
-WHITE = 1 - 2.0**-10
-"""Largest tone-mapped value that comes back: 1023 in scene-linear colour."""
 
 
 @dataclass(frozen=True)
@@ -275,49 +272,6 @@ def average(
     return total / sum_of_weights
 
 
-def nearness(depth: Float[Tensor, "b 1 h w"]) -> Float[Tensor, "b 1 h w"]:
-    """Depth d as 1/2 + 5 / (d + 10): 1 at the camera, 1/2 at the sky, the same from frame to frame."""
-    return torch.where(depth < SKY, 0.5 + 5 / (depth + 10), 0.5)
-
-
-def decoded(image: Float[Tensor, "b 3 H W"]) -> Float[Tensor, "b 3 H W"]:
-    """Scene-linear colour of an image that was tone-mapped and put under the sRGB curve."""
-    return untonemap(decode_srgb(image.clamp(0, 1)).clamp(max=WHITE))
-
-
-def encoded(color: Float[Tensor, "b 3 H W"]) -> Float[Tensor, "b 3 H W"]:
-    """Inverse of `decoded`, up to WHITE."""
-    return encode_srgb(tonemap(color).clamp(max=WHITE))
-
-
-def positions(small: tuple[int, int], size: tuple[int, int], jitter: Float[Tensor, "b 2"]) -> Float[Tensor, "b 2 H W"]:
-    """Column and row of the centre of each display pixel on the grid of samples, which lie on whole numbers."""
-    x, y = (
-        (torch.arange(large, device=jitter.device) + 0.5) * (few / large) - 0.5 - jitter[:, axis, None]
-        for axis, few, large in ((0, small[1], size[1]), (1, small[0], size[0]))
-    )
-    return torch.stack((x[:, None].expand(-1, *size), y[:, :, None].expand(-1, *size)), 1)
-
-
-def place(
-    values: Float[Tensor, "b c h w"], at: Float[Tensor, "b 2 H W"]
-) -> tuple[Float[Tensor, "b c H W"], Float[Tensor, "b 1 H W"]]:
-    """Samples on display pixels that lie at these columns and rows of their grid: the nearest one, and its cover.
-
-    Cover falls from 1 on the sample to 0 one display pixel away, per axis; beyond the grid it is 0. Value times cover
-    is what bilinear warping makes of the image with each sample in its display pixel and zeros between.
-    """
-    (height, width), size = values.shape[-2:], at.shape[-2:]
-    whole = at.round()
-    x, y = whole[:, 0].clamp(0, width - 1), whole[:, 1].clamp(0, height - 1)
-    away_x, away_y = (at[:, 0] - x).abs() * (size[1] / width), (at[:, 1] - y).abs() * (size[0] / height)
-    cover = (1 - away_x).clamp(min=0) * (1 - away_y).clamp(min=0)
-    image = torch.arange(values.shape[0], device=at.device)[:, None, None] * (height * width)
-    rows = values.permute(0, 2, 3, 1).flatten(0, 2)  # all channels of a sample lie together
-    nearest = rows[(y.long() * width + x.long() + image).flatten()]
-    return nearest.view(values.shape[0], *size, -1).permute(0, 3, 1, 2), cover[:, None]
-
-
 # Training.
 
 
@@ -334,22 +288,6 @@ def loss(method: NSRR, frames: Sequence[Frame], targets: Float[Tensor, "b n 3 H 
     base, _ = method.accumulate(frames[-1], state.history)
     image = method.predict(method.look(frames[-1]), method.moved(frames[-1], state), base)
     return difference(image, encoded(targets[:, -1]))
-
-
-def difference(image: Float[Tensor, "b 3 H W"], target: Float[Tensor, "b 3 H W"]) -> dict[str, Float[Tensor, ""]]:
-    """1 - SSIM and 5 L1 of two images in [0, 1]."""
-    return {"ssim": 1 - similarity(image, target), "l1": 5 * (image - target).abs().mean()}
-
-
-def similarity(image: Float[Tensor, "b 3 H W"], target: Float[Tensor, "b 3 H W"]) -> Float[Tensor, ""]:
-    """Mean structural similarity over windows of 7 x 7 pixels, three pixels apart; 1 where the images are equal."""
-    with torch.autocast(image.device.type, enabled=False):
-        a, b = image.float(), target.float()
-        mean_a, mean_b, squares, products = F.avg_pool2d(torch.cat((a, b, a * a + b * b, a * b), 1), 7, 3).chunk(4, 1)
-        means, product = mean_a * mean_a + mean_b * mean_b, mean_a * mean_b
-        light = (2 * product + 1e-4) / (means + 1e-4)
-        form = (2 * (products - product) + 9e-4) / (squares - means + 9e-4)
-        return (light * form).mean()
 
 
 recipe = Recipe(loss=loss, mode="pass", shaded=PAST + 1, crop=(64, 64), batch=2, steps=4000, rate=5e-4, warmup=100)
