@@ -11,10 +11,13 @@ from dataclasses import dataclass
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int, Shaped
-from torch import Tensor
+from torch import Tensor, library
 
 EMPTY = 0x7F800000 << 32
 """Key of a target pixel on which nothing landed: infinitely far, larger than the key of any source."""
+
+FITS = 0.02
+"""Depths that differ by less, relative to the smaller one, are of one surface, and no better one is looked for."""
 
 
 def _position(motion: Float[Tensor, "b 2 h w"]) -> tuple[Tensor, Tensor]:
@@ -138,18 +141,51 @@ def _same_surface(
     depth: Float[Tensor, "b 1 h w"], other: Float[Tensor, "b 1 h w"], motion: Float[Tensor, "b 2 h w"]
 ) -> tuple[Int[Tensor, "b h w"], Float[Tensor, "b 1 h w"]]:
     """Index of the pixel around each target whose depth fits best (the centre where it fits), and the misfit."""
-    height, width = depth.shape[-2:]
     centre = landing(motion)
-    row, column = centre // width, centre % width
-    best, least = centre, _unlike(pick(other, centre), depth)
-    least = torch.where(least < 0.02, -1.0, least)
+    misfit = _unlike(pick(other, centre), depth)
+    if depth.device.type == "cpu":
+        return search_around(centre, misfit, depth, other)
+    return _searched_at(torch.arange(centre.numel(), device=depth.device), centre, misfit, depth, other)
+
+
+@library.custom_op("framecast::search_around", mutates_args=())
+def search_around(centre: Tensor, misfit: Tensor, depth: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
+    """Neighbours searched where the centre does not fit: on few cores they are what takes the time.
+
+    A GPU would have to wait for their number, and searches at every pixel. Compiled code calls this as it is.
+    """
+    return _searched_at((misfit >= FITS).flatten().nonzero()[:, 0], centre, misfit, depth, other)
+
+
+@search_around.register_fake
+def _(centre: Tensor, misfit: Tensor, depth: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
+    return torch.empty_like(centre), torch.empty_like(misfit)
+
+
+def _searched_at(
+    pixels: Int[Tensor, " n"],
+    centre: Int[Tensor, "b h w"],
+    misfit: Float[Tensor, "b 1 h w"],
+    depth: Float[Tensor, "b 1 h w"],
+    other: Float[Tensor, "b 1 h w"],
+) -> tuple[Int[Tensor, "b h w"], Float[Tensor, "b 1 h w"]]:
+    """The best of the 3 x 3 pixels around `centre` at these of the batch's pixels where `misfit` is not below `FITS`."""
+    height, width = depth.shape[-2:]
+    best, least = centre.flatten()[pixels], misfit.flatten()[pixels]
+    least = torch.where(least < FITS, -1.0, least)
+    row, column = best // width, best % width
+    first, own, others = pixels // (height * width) * (height * width), depth.flatten()[pixels], other.flatten()
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             index = (row + dy).clamp(0, height - 1) * width + (column + dx).clamp(0, width - 1)
-            misfit = _unlike(pick(other, index), depth)
-            better = misfit < least
-            best, least = torch.where(better[:, 0], index, best), torch.where(better, misfit, least)
-    return best, least
+            found = _unlike(others[first + index], own)
+            better = found < least
+            best, least = torch.where(better, index, best), torch.where(better, found, least)
+    least = torch.where(least < 0, misfit.flatten()[pixels], least)
+    return (
+        centre.flatten().index_copy(0, pixels, best).view(centre.shape),
+        misfit.flatten().index_copy(0, pixels, least).view(misfit.shape),
+    )
 
 
 def _unlike(depth: Tensor, other: Tensor) -> Tensor:

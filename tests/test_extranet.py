@@ -26,6 +26,7 @@ from framecast.methods.extranet import (
 )
 from framecast.methods.reproject import (
     PLACES,
+    Geometry,
     _filled_at,
     filled,
     geometry,
@@ -38,7 +39,7 @@ from framecast.methods.reproject import (
 )
 from framecast.methods.warps import OcclusionWarp, Warp
 from framecast.nets import multiply_accumulates, parameters
-from framecast.warp import chain, inside
+from framecast.warp import chain, inside, warp
 
 
 def fed(method: nn.Module, frames: list[Frame]) -> History:
@@ -221,6 +222,54 @@ def test_perspective_disocclusion_is_exactly_what_was_hidden() -> None:
     past = replace(frame, depth=pillar)
     seen = valid(geometry(frame), geometry(past), torch.zeros(1, 2, H, W))
     assert torch.equal(seen, pillar > 5)
+
+
+def test_what_is_valid_like_a_brute_force_twin() -> None:
+    """Every pixel that a bilinear read mixes is joined; the nearest shows the same position, all of them the normal."""
+    generator = torch.Generator().manual_seed(5)
+
+    def noise(channels: int) -> Tensor:
+        return torch.rand(1, channels, H, W, generator=generator)
+
+    frame = replace(shot(0), object=(noise(1) > 0.9).int() * 3, depth=300 + noise(1) + 27 * (noise(1) > 0.97))
+    other = torch.where(noise(1) > 0.95, 5, frame.object)
+    past = replace(frame, object=other, depth=frame.depth + 4 * noise(1), normal=F.normalize(noise(3) - 0.2, dim=1))
+    now, then = geometry(frame), geometry(past)
+    motion = torch.where(noise(2) > 0.5, torch.randint(-2, 3, (1, 2, H, W), generator=generator), 3 * noise(2) - 1.5)
+    found, turned = valid(now, then, motion.float()), warp(then.normal, motion.float())
+
+    def limit(seen: Geometry, i: int, j: int) -> float:
+        facing = float(seen.facing[0, 0, i, j])
+        return float(seen.depth[0, 0, i, j]) * (0.0075 * facing + 0.045 * (1 - facing) + 0.005)
+
+    def apart(a: Geometry, i: int, j: int, b: Geometry, k: int, m: int) -> float:
+        return float((a.position[0, :, i, j] - b.position[0, :, k, m]).norm())
+
+    def alike(i: int, j: int, k: int, m: int) -> bool:
+        ids = int(then.object[0, 0, i, j]), int(then.object[0, 0, k, m])
+        return ids[0] == ids[1] and (ids[0] != 0 or apart(then, i, j, then, k, m) <= 2 * limit(then, i, j))
+
+    def shows(i: int, j: int) -> bool:
+        x, y = j + float(motion[0, 0, i, j]), i + float(motion[0, 1, i, j])
+        if not (-0.5 <= x <= W - 0.5 and -0.5 <= y <= H - 0.5):
+            return False
+
+        def on(at: float, shift: float, end: int) -> int:
+            return min(max(math.floor(at + shift), 0), end - 1)
+
+        row, column = on(y, 0.5, H), on(x, 0.5, W)
+        top, left, low, right = on(y, 0.01, H), on(x, 0.01, W), on(y, 0.99, H), on(x, 0.99, W)
+        if not all(alike(top, left, k, m) for k in {top, low} for m in {left, right}):
+            return False
+        if int(then.object[0, 0, row, column]) != int(now.object[0, 0, i, j]):
+            return False
+        if int(now.object[0, 0, i, j]) == 0:
+            return apart(now, i, j, then, row, column) <= limit(now, i, j)
+        return float((now.normal[0, :, i, j] * turned[0, :, i, j]).sum() / turned[0, :, i, j].norm()) >= 0.98
+
+    expected = torch.tensor([[shows(i, j) for j in range(W)] for i in range(H)])
+    assert 0.2 < float(expected.float().mean()) < 0.8
+    assert float((found[0, 0] != expected).float().mean()) < 0.005  # at limits, within rounding
 
 
 # Occluders.

@@ -9,12 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, library
 
 from framecast.color import demodulate, encode_log
 from framecast.frame import SKY, Frame, world_position
-from framecast.warp import EMPTY, fetch, inside, key_index, landing, nearest_key, pick, splat, trajectory, warp
+from framecast.warp import EMPTY, inside, key_index, landing, nearest_key, pick, splat, trajectory, warp
 
 SPECULAR = 0.04
 """Reflectance of dielectrics: what is left to divide by where the base colour is black."""
@@ -49,6 +50,8 @@ class Geometry:
     """World-space, scene units."""
     normal: Float[Tensor, "b 3 h w"]
     object: Int[Tensor, "b 1 h w"]
+    joined: Int[Tensor, "b 1 h w"]
+    """Which neighbours show the same surface: see `join`."""
     facing: Float[Tensor, "b 1 h w"]
     """|n·v|, 0 at the sky."""
     jitter: Float[Tensor, "b 2"]
@@ -69,7 +72,8 @@ def geometry(frame: Frame) -> Geometry:
     eye = torch.linalg.inv(frame.view)[:, :3, 3, None, None]
     to_eye = eye - position
     facing = (frame.normal * to_eye).sum(1, keepdim=True).abs() / squared(to_eye).sqrt().clamp(min=1e-6)
-    return Geometry(frame.depth, position, frame.normal, frame.object, facing, frame.jitter, frame.time)
+    joined = join(frame.object, position, 2 * tolerance(frame.depth, facing))
+    return Geometry(frame.depth, position, frame.normal, frame.object, joined, facing, frame.jitter, frame.time)
 
 
 def jittered(frame: Frame) -> Float[Tensor, "b 4 4"]:
@@ -113,22 +117,41 @@ def valid(now: Geometry, past: Geometry, motion: Float[Tensor, "b 2 h w"]) -> Bo
     """Where the past frame shows, at the end of `motion`, the surface that the frame shows now.
 
     Not valid: off the screen; another object; on things that move by themselves a normal turned by more than 11
-    degrees (cosine below 0.98); on the static world a position that is not the same. Every pixel that a bilinear
-    read mixes (with at least one hundredth) has to agree in object and position.
+    degrees (cosine below 0.98); on the static world a position, that of the nearest pixel, that is not the same. And
+    every pixel that a bilinear read mixes (with at least one hundredth) has to be joined to the others.
     """
+    nearest, corner, opposite = landing(motion), *(landing(motion + shift) for shift in (-0.49, 0.49))
+    width = motion.shape[-1]
+    apart = opposite - corner
+    needed = (apart % width > 0).to(torch.int32) + 2 * (apart // width > 0).to(torch.int32)
+    whole = (pick(past.joined, corner) >> needed[:, None]) & 1 > 0
     turned = warp(past.normal, motion)
     length = (squared(turned) * squared(now.normal)).sqrt()
-    cosine = (turned * now.normal).sum(1, keepdim=True) / length.clamp(min=1e-6)
-    same_normal = (cosine >= 0.98) | (length < 1e-6)
-    limit = tolerance(now).square()
-    same_object, same_position = torch.ones_like(same_normal), torch.ones_like(same_normal)
-    for dy in (-0.49, 0.49):
-        for dx in (-0.49, 0.49):
-            tap = landing(motion + torch.tensor([dx, dy], device=motion.device)[:, None, None])
-            same_object = same_object & (pick(past.object, tap) == now.object)
-            same_position = same_position & (squared(pick(past.position, tap) - now.position) <= limit)
-    same = torch.where(fetch(past.object, motion) == 0, same_position, same_normal)
-    return same_object & same & inside(motion)
+    same_normal = ((turned * now.normal).sum(1, keepdim=True) >= 0.98 * length) | (length < 1e-6)
+    limit = tolerance(now.depth, now.facing).square()
+    same_position = squared(pick(past.position, nearest) - now.position) <= limit
+    same = torch.where(now.object == 0, same_position, same_normal)
+    return (pick(past.object, corner) == now.object) & whole & same & inside(motion)
+
+
+def join(
+    object: Int[Tensor, "b 1 h w"], position: Float[Tensor, "b 3 h w"], limit: Float[Tensor, "b 1 h w"]
+) -> Int[Tensor, "b 1 h w"]:
+    """Which pixels can be mixed with their neighbours: bit 0 always; bit 1 with the one to the right; bit 2 with the
+    one below; bit 3 with both and the one between them. Beyond the border nothing is.
+
+    Pixels are joined that show one object, and on the static world, where that is much, positions within `limit`: two
+    `tolerance`s, for a surface that lies between them.
+    """
+
+    def like(dy: int, dx: int) -> Tensor:
+        there, here = (..., slice(dy, None), slice(dx, None)), (..., slice(-dy or None), slice(-dx or None))
+        near = squared(position[there] - position[here]) <= limit[here].square()
+        same = (object[there] == object[here]) & (near | (object[here] != 0))
+        return F.pad(same, (0, dx, 0, dy))
+
+    right, below = like(0, 1), like(1, 0)
+    return 1 + 2 * right.to(torch.int32) + 4 * below.to(torch.int32) + 8 * (right & below & like(1, 1)).to(torch.int32)
 
 
 def squared(vectors: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 1 h w"]:
@@ -140,13 +163,13 @@ def squared(vectors: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 1 h w"]:
     return total[:, None]
 
 
-def tolerance(now: Geometry) -> Float[Tensor, "b 1 h w"]:
+def tolerance(depth: Float[Tensor, "b 1 h w"], facing: Float[Tensor, "b 1 h w"]) -> Float[Tensor, "b 1 h w"]:
     """How far apart two positions of one static surface may lie, scene units.
 
     The published limit, 7.5 cm seen frontally to 45 cm seen edge-on and 0.5 cm for each metre, is in centimetres; here
     it is that limit at 10 m as a part of the depth, so that it does not depend on the unit of the scene.
     """
-    return now.depth * (0.0075 * now.facing + 0.045 * (1 - now.facing) + 0.005)
+    return depth * (0.0075 * facing + 0.045 * (1 - facing) + 0.005)
 
 
 def occluder_motion(depth: Float[Tensor, "b 1 h w"], motion: Float[Tensor, "b 2 h w"]) -> Float[Tensor, "b 2 h w"]:
