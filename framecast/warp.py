@@ -169,7 +169,7 @@ def _searched_at(
     depth: Float[Tensor, "b 1 h w"],
     other: Float[Tensor, "b 1 h w"],
 ) -> tuple[Int[Tensor, "b h w"], Float[Tensor, "b 1 h w"]]:
-    """The best of the 3 x 3 pixels around `centre` at these of the batch's pixels where `misfit` is not below `FITS`."""
+    """The best of the 3 x 3 around `centre` at these of the batch's pixels where `misfit` is not below `FITS`."""
     height, width = depth.shape[-2:]
     best, least = centre.flatten()[pixels], misfit.flatten()[pixels]
     least = torch.where(least < FITS, -1.0, least)
