@@ -1,6 +1,6 @@
 """How often the doctor is right: healthy clips, each corruption of their buffers alone, and random pairs of them.
 
-    python benchmarks/doctor.py CLIP... --out doctor.jsonl [--pairs 20] [--only NAME,...] [--again]
+    python benchmarks/doctor.py CLIP... --out doctor.jsonl [--turns 4] [--pairs 20] [--only NAME,...] [--again]
 
 Each clip is copied with one buffer stored in another convention (or two) and examined as if nothing were known.
 *right*: every corruption is named and nothing else is. *undecidable*: the doctor says that this cannot be told.
@@ -26,7 +26,7 @@ import torch
 import torch.nn.functional as F
 
 from framecast import doctor, exr
-from framecast.clip import ON_DISK, Clip, Layers, Record, finish
+from framecast.clip import ON_DISK, Clip, Layers, Matrix, Record, finish
 from framecast.color import to_display
 from framecast.doctor import examine
 from framecast.exr import ClipError
@@ -52,12 +52,22 @@ class Corruption:
     """Codes that are right besides."""
 
 
-def vectors(change: Callable[[np.ndarray, int, Frames], np.ndarray]) -> Callable[[Frames], Frames]:
+NEIGHBOUR = {"motion": -1, "motion_next": 1}
+"""Where vectors lead. Both are changed, since the next frame's may be taken for the previous one's afterwards."""
+
+
+def vectors(change: Callable[[np.ndarray, int, Frames, str], np.ndarray]) -> Callable[[Frames], Frames]:
     """Only the vectors are changed."""
     return lambda frames: [
-        (r, {**layers, "motion": change(layers["motion"].astype(np.float32), i, frames)})
-        for i, (r, layers) in enumerate(frames)
+        (r, {**a, **{name: change(a[name].astype(np.float32), i, frames, name) for name in NEIGHBOUR if name in a}})
+        for i, (r, a) in enumerate(frames)
     ]
+
+
+def neighbour(frames: Frames, i: int, name: str) -> Record:
+    """The frame to which vectors lead; at the ends the frame itself."""
+    other = i + NEIGHBOUR[name]
+    return frames[other if 0 <= other < len(frames) else i][0]
 
 
 def column(*values: float) -> np.ndarray:
@@ -74,43 +84,42 @@ def unreal(v: np.ndarray, root: bool) -> np.ndarray:
     return (n * 0.2495 + 32767 / 65535).astype(np.float32)
 
 
-def camera_part(frames: Frames, i: int) -> np.ndarray:
-    """What the cameras alone do between a frame and the one before."""
+def camera_part(frames: Frames, i: int, name: str) -> np.ndarray:
+    """What the cameras alone do between a frame and its neighbour."""
     from framecast.importers.decode import _bare
 
-    (here, layers), (before, _) = frames[i], frames[max(i - 1, 0)]
+    (here, layers), there = frames[i], neighbour(frames, i, name)
     depth = layers["depth"].astype(np.float32)
-    if here.view is None or before.view is None:
-        return np.zeros_like(layers["motion"], np.float32)
-    return camera_motion(_bare(here, depth), _bare(before, depth))[0].numpy()
+    if here.view is None or there.view is None:
+        return np.zeros_like(layers[name], np.float32)
+    return camera_motion(_bare(here, depth), _bare(there, depth))[0].numpy()
 
 
-def without_camera(v: np.ndarray, i: int, frames: Frames) -> np.ndarray:
-    rest = v - camera_part(frames, i)
+def without_camera(v: np.ndarray, i: int, frames: Frames, name: str) -> np.ndarray:
+    rest = v - camera_part(frames, i, name)
     return np.where(np.abs(rest).max(0) < 0.02, 0, rest).astype(np.float32)
 
 
-def unwritten(v: np.ndarray, i: int, frames: Frames) -> np.ndarray:
-    return np.where(np.abs(v - camera_part(frames, i)).max(0) < 0.02, 0, v).astype(np.float32)
+def unwritten(v: np.ndarray, i: int, frames: Frames, name: str) -> np.ndarray:
+    return np.where(np.abs(v - camera_part(frames, i, name)).max(0) < 0.02, 0, v).astype(np.float32)
 
 
-def shaken(v: np.ndarray, i: int, frames: Frames) -> np.ndarray:
-    step = np.subtract(frames[i][0].jitter, frames[max(i - 1, 0)][0].jitter)
-    return v + column(*step)
+def shaken(v: np.ndarray, i: int, frames: Frames, name: str) -> np.ndarray:
+    return v + column(*np.subtract(frames[i][0].jitter, neighbour(frames, i, name).jitter))
 
 
-def dilated(v: np.ndarray, i: int, frames: Frames) -> np.ndarray:
+def dilated(v: np.ndarray, i: int, frames: Frames, _: str) -> np.ndarray:
     depth = torch.from_numpy(frames[i][1]["depth"].astype(np.float32))[None]
     return pick(torch.from_numpy(v)[None], nearest_neighbour(depth))[0].numpy()
 
 
-def averaged(v: np.ndarray, i: int, frames: Frames) -> np.ndarray:
+def averaged(v: np.ndarray, *_: object) -> np.ndarray:
     return F.avg_pool2d(torch.from_numpy(v)[None], 3, 1, 1, count_include_pad=False)[0].numpy()
 
 
 def moved(steps: int) -> Callable[[Frames], Frames]:
     """Each file holds the vectors of the frame `steps` later."""
-    return vectors(lambda v, i, frames: frames[min(max(i + steps, 0), len(frames) - 1)][1]["motion"])
+    return vectors(lambda v, i, frames, name: frames[min(max(i + steps, 0), len(frames) - 1)][1][name])
 
 
 def depths(**kind: object) -> Callable[[Frames], Frames]:
@@ -152,12 +161,16 @@ def flicker(c: np.ndarray, _: Record, i: int) -> np.ndarray:
 
 
 def spliced(frames: Frames) -> Frames:
-    """The second half shows another place: the picture turned by half a turn, its vectors with it."""
+    """The second half shows another place: the picture turned by half a turn, its vectors and its camera with it."""
     half = len(frames) // 2
     return frames[:half] + [
-        (replace(r, view=None, projection=None, jitter=(-r.jitter[0], -r.jitter[1])), _turned(a))
-        for r, a in frames[half:]
+        (replace(r, view=_rolled(r.view), jitter=(-r.jitter[0], -r.jitter[1])), _turned(a)) for r, a in frames[half:]
     ]
+
+
+def _rolled(view: Matrix | None) -> Matrix | None:
+    """A camera turned by half a turn around its axis."""
+    return view and (*(tuple(-v for v in row) for row in view[:2]), *view[2:])
 
 
 def _turned(a: Layers) -> Layers:
@@ -181,38 +194,41 @@ def padded(frames: Frames) -> Frames:
     return [(r, {k: np.pad(v, ((0, 0), (0, 8), (0, 8))) for k, v in a.items()}) for r, a in frames]
 
 
-def last_turned(v: np.ndarray, i: int, frames: Frames) -> np.ndarray:
-    return -v if i == len(frames) - 1 else v
+def last_turned(v: np.ndarray, i: int, frames: Frames, name: str) -> np.ndarray:
+    """Of vectors to the next frame the last two, since nothing follows the last."""
+    return -v if i >= len(frames) + min(-NEIGHBOUR[name], 0) - 1 else v
+
+
+def to_the_next(frames: Frames) -> Frames:
+    return [(r, {**a, "motion": a.get("motion_next", a["motion"])}) for r, a in frames]
 
 
 NO_MOTION, NO_DEPTH = ("motion", "motion.open"), ("depth.open",)
 
 CORRUPTIONS: dict[str, Corruption] = {
-    "sign": Corruption("motion", ("motion.sign", "motion.time"), vectors(lambda v, i, f: -v), NO_MOTION),
-    "y flip": Corruption("motion", ("motion.y",), vectors(lambda v, i, f: v * column(1, -1)), NO_MOTION),
-    "x flip": Corruption("motion", ("motion.x",), vectors(lambda v, i, f: v * column(-1, 1)), NO_MOTION),
-    "half length": Corruption("motion", ("motion.length",), vectors(lambda v, i, f: v / 2), NO_MOTION),
-    "double length": Corruption("motion", ("motion.length",), vectors(lambda v, i, f: v * 2), NO_MOTION),
-    "UV": Corruption("motion", ("motion.unit",), vectors(lambda v, i, f: ndc(v) / 2), NO_MOTION),
-    "NDC": Corruption("motion", ("motion.unit",), vectors(lambda v, i, f: ndc(v)), NO_MOTION),
-    "code 0.5": Corruption("motion", ("motion.code",), vectors(lambda v, i, f: ndc(v) / 2 + 0.5), NO_MOTION),
+    "sign": Corruption("motion", ("motion.sign", "motion.time"), vectors(lambda v, *_: -v), NO_MOTION),
+    "y flip": Corruption("motion", ("motion.y",), vectors(lambda v, *_: v * column(1, -1)), NO_MOTION),
+    "x flip": Corruption("motion", ("motion.x",), vectors(lambda v, *_: v * column(-1, 1)), NO_MOTION),
+    "half length": Corruption("motion", ("motion.length",), vectors(lambda v, *_: v / 2), NO_MOTION),
+    "double length": Corruption("motion", ("motion.length",), vectors(lambda v, *_: v * 2), NO_MOTION),
+    "UV": Corruption("motion", ("motion.unit",), vectors(lambda v, *_: ndc(v) / 2), NO_MOTION),
+    "NDC": Corruption("motion", ("motion.unit",), vectors(lambda v, *_: ndc(v)), NO_MOTION),
+    "code 0.5": Corruption("motion", ("motion.code",), vectors(lambda v, *_: ndc(v) / 2 + 0.5), NO_MOTION),
     "Unreal code": Corruption(
-        "motion", ("motion.code",), vectors(lambda v, i, f: unreal(v, False)), NO_MOTION, ("motion.x",)
+        "motion", ("motion.code",), vectors(lambda v, *_: unreal(v, False)), NO_MOTION, ("motion.x",)
     ),
     "Unreal root": Corruption(
-        "motion", ("motion.code",), vectors(lambda v, i, f: unreal(v, True)), NO_MOTION, ("motion.x",)
+        "motion", ("motion.code",), vectors(lambda v, *_: unreal(v, True)), NO_MOTION, ("motion.x",)
     ),
     "no camera": Corruption("camera", ("motion.camera",), vectors(without_camera), NO_MOTION),
     "unwritten": Corruption("camera", ("motion.unwritten",), vectors(unwritten), NO_MOTION),
     "averaged": Corruption("edges", ("motion.averaged",), vectors(averaged)),
     "dilated": Corruption("edges", ("motion.dilated",), vectors(dilated)),
     "half floats": Corruption(
-        "grain", ("motion.half",), vectors(lambda v, i, f: v.astype(np.float16).astype(np.float32))
+        "grain", ("motion.half",), vectors(lambda v, *_: v.astype(np.float16).astype(np.float32))
     ),
     "jitter inside": Corruption("jitter", ("motion.jittered",), vectors(shaken), ("motion.open",)),
-    "to the next": Corruption(
-        "motion", ("motion.time", "motion.sign"), vectors(lambda v, i, f: f[i][1].get("motion_next", v)), NO_MOTION
-    ),
+    "to the next": Corruption("motion", ("motion.time", "motion.sign"), to_the_next, NO_MOTION),
     "last turned": Corruption("last", ("motion.turned",), vectors(last_turned), NO_MOTION),
     "a frame early": Corruption("offset", ("motion.offset",), moved(1), NO_MOTION),
     "a frame late": Corruption("offset", ("motion.offset",), moved(-1), NO_MOTION),
@@ -333,31 +349,35 @@ def run(clip: Clip, names: Sequence[str]) -> dict[str, object] | None:
 def fingerprint() -> str:
     """Changes with the doctor's code, the importers' and this benchmark's corruptions."""
     folder = Path(doctor.__file__).parent
-    files = [*sorted(folder.glob("*.py")), *sorted((folder.parent / "importers").glob("*.py"))]
+    files = [Path(__file__), *sorted(folder.glob("*.py")), *sorted((folder.parent / "importers").glob("*.py"))]
     return sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:8]
 
 
-def plan(clips: Sequence[Clip], pairs: int) -> list[tuple[Clip, tuple[str, ...]]]:
-    """Healthy, each alone, and `pairs` random pairs of different topics a clip; clips in turn, the same every time."""
+def plan(clips: Sequence[Clip], turns: int, pairs: int) -> list[tuple[Clip, tuple[str, ...]]]:
+    """Healthy, each alone on `turns` clips, and `pairs` random pairs of different topics a clip; clips in turn, the
+    same every time."""
     todo: list[tuple[Clip, tuple[str, ...]]] = [(clip, ()) for clip in clips]
-    for turn in range(len(clips)):
-        todo += [(clips[(place + turn) % len(clips)], (name,)) for place, name in enumerate(CORRUPTIONS)]
+    able = {name: [clip for clip in clips if possible(clip, (name,))] for name in CORRUPTIONS}
+    for turn in range(turns):
+        for place, (name, held) in enumerate(able.items()):
+            todo += [(held[(place + turn) % len(held)], (name,))] if turn < len(held) else []
     every = [(a, b) for a in CORRUPTIONS for b in CORRUPTIONS if a < b and CORRUPTIONS[a].topic != CORRUPTIONS[b].topic]
     chances = {clip.path.name: random.Random(clip.path.name) for clip in clips}
     for _ in range(pairs):
         for clip in clips:
             able = [pair for pair in every if possible(clip, pair)]
             todo.append((clip, tuple(sorted(chances[clip.path.name].choice(able), key=order))))
-    return [(clip, names) for clip, names in todo if possible(clip, names)]
+    return todo
 
 
-LATE = ("camera", "edges", "jitter", "offset", "last", "motion", "grain", "frames", "size")
-"""Corruptions that change pixels vectors point at come before those that change how vectors are written."""
+ORDER = (
+    "color", "camera", "edges", "jitter", "offset", "last", "motion", "grain", "frames", "normal", "depth", "size",
+)  # fmt: skip
+"""What needs depth as it is or changes the light comes first, then where vectors point, then how they are written."""
 
 
 def order(name: str) -> int:
-    topic = CORRUPTIONS[name].topic
-    return LATE.index(topic) if topic in LATE else -1
+    return ORDER.index(CORRUPTIONS[name].topic)
 
 
 def possible(clip: Clip, names: Sequence[str]) -> bool:
@@ -395,6 +415,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("clips", nargs="*", type=Path)
     parser.add_argument("--out", type=Path, default=Path("doctor.jsonl"))
+    parser.add_argument("--turns", type=int, default=99, help="clips on which each corruption is tried alone")
     parser.add_argument("--pairs", type=int, default=20, help="for each clip")
     parser.add_argument("--only", default="", help="corruptions, with commas between")
     parser.add_argument("--again", action="store_true", help="repeat rows of older code")
@@ -406,7 +427,7 @@ def main() -> None:
     torch.set_num_threads(1)
     done = {key for key, row in rows_of(asked.out).items() if not asked.again or row.get("code") == fingerprint()}
     wanted = set(filter(None, asked.only.split(",")))
-    for clip, names in plan([open_any(path) for path in asked.clips], asked.pairs):
+    for clip, names in plan([open_any(path) for path in asked.clips], asked.turns, asked.pairs):
         if (clip.path.name, *names) in done or (wanted and not wanted & {*names, "+".join(names)}):
             continue
         changed_nothing = {"clip": clip.path.name, "names": list(names), "result": "", "code": fingerprint()}

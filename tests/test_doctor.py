@@ -15,6 +15,7 @@ from framecast.doctor import camera, motion
 from framecast.doctor.depth import planarity
 from framecast.doctor.edges import edges_of
 from framecast.doctor.examine import examine
+from framecast.doctor.follow import steps_of
 from framecast.doctor.jitter import halton, sequence_of
 from framecast.doctor.motion import displacement
 from framecast.doctor.say_depth import tangents_of, tell_depth
@@ -24,7 +25,7 @@ from framecast.doctor.say_rest import tell_color, tell_exposure, tell_normals, t
 from framecast.doctor.source import open_source
 from framecast.doctor.surface import SIGNS, Normals, normals_of, rotations, tone_of
 from framecast.doctor.take import Take, load
-from framecast.doctor.timeline import exposure_of, steps_of
+from framecast.doctor.timeline import exposure_of
 from framecast.importers import open_any
 from framecast.importers.decode import decode_motion
 from framecast.importers.encode import encode_depth, encode_motion
@@ -264,7 +265,7 @@ def test_normals_without_cameras_are_only_wrong_where_an_axis_is_mirrored(take: 
     flipped = (1.0, -1.0, 1.0)
     facing = {sign: 3.0 if sign == flipped else 60.0 for sign in SIGNS}
     angles = {("view", sign): angle for sign, angle in facing.items()}
-    mirrored = Normals(False, 1.0, 0.0, angles, {"proper": 40.0, "mirrored": 3.0}, facing, 0.0, 1000)
+    mirrored = Normals(False, 1.0, 0.0, angles, angles, {"proper": 40.0, "mirrored": 3.0}, facing, 0.0, 1000)
     (finding,), found = tell_normals(mirrored, about)
     assert (finding.state, finding.code) == ("fix", "normal.sign")
     assert found is not None
@@ -293,12 +294,10 @@ def test_display_colour_is_told_by_albedo_edges(take: Take) -> None:
 
 def test_exposure_that_changes_all_over_the_picture(take: Take) -> None:
     told = tell_motion(take, MOTION)
-    assert told.answer is not None
-    reading, shifts = told.answer.best.reading, told.answer.shifts
-    assert tell_exposure(exposure_of(take, steps_of(take, reading, shifts)), 8) == ([], None)
+    assert tell_exposure(exposure_of(take, steps_of(take, told)), 8) == ([], None)
     factors = 1 + 0.2 * (np.arange(8) % 2)
     lit = replace(take, images=[(i + np.log(f)).astype(np.float16) for i, f in zip(take.images, factors, strict=True)])
-    findings, found = tell_exposure(exposure_of(lit, steps_of(lit, reading, shifts)), 8)
+    findings, found = tell_exposure(exposure_of(lit, steps_of(lit, told)), 8)
     assert fixes(findings) == {"color.exposure"}
     np.testing.assert_allclose(found, factors, rtol=0.05)
 

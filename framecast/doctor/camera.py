@@ -1,7 +1,7 @@
 """Do the vectors hold what the camera does? Pixels without a vector, and whether the picture moves there."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -26,13 +26,13 @@ class Blanks:
     """Error of taking them as not moving, and of letting a camera move them."""
     moved: float
     votes: float
-    code: float
-    """What is stored there."""
-    fields: tuple[np.ndarray, ...]
-    """What the camera does in the points of each pair of a scene, `2 n`."""
-    depth: str
-    """The one of `DEPTHS` with which recorded cameras say so; empty where it was fitted to the pictures, light that
-    moves included."""
+    code: np.ndarray
+    """What is stored there, a number a channel."""
+    fields: tuple[tuple[np.ndarray, np.ndarray | None], ...]
+    """What the camera does in the points of each pair of a scene, `2 n`, to the frame before and to the next one."""
+    depth: "Distance | None"
+    """Of stored depth, with which recorded cameras say so; None where it was fitted to the pictures, light that moves
+    included."""
 
     @property
     def found(self) -> bool:
@@ -40,19 +40,23 @@ class Blanks:
         return self.votes >= 4 and self.still > (1.04 if self.depth else 1.18) * self.moved
 
 
-def blank(stored: np.ndarray) -> tuple[np.ndarray, float]:
-    """Pixels that hold exactly the most usual number in all channels, and that number; none where it is rare."""
+def blank(stored: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels `h w` that hold exactly the most usual number of each channel, and those; none where they are rare."""
     some = thinned(stored.shape[1])
-    values, counts = np.unique(stored[0, some, some], return_counts=True)
-    code = values[np.argmax(counts)]
-    same = (stored == code).all(0)
-    return (same, float(code)) if same.mean() >= EMPTY_SHARE else (np.zeros_like(same), float(code))
+    code = np.array([_usual(plane[some, some]) for plane in stored])
+    same: np.ndarray = (stored == code[:, None, None]).all(0)
+    return (same if same.mean() >= EMPTY_SHARE else np.zeros_like(same)), code
+
+
+def _usual(plane: np.ndarray) -> float:
+    values, counts = np.unique(plane, return_counts=True)
+    return float(values[np.argmax(counts)])
 
 
 def blanks_of(take: Take, scene: Scene) -> Blanks | None:
     """What becomes of pixels without vectors; None where there are too few of them, or too little texture on them."""
-    still, moved, blocks, fields, shares, surfaces, code = [], [], [], [], [], [], 0.0
-    depth: str | None = None
+    still, moved, blocks, fields, shares, surfaces = [], [], [], [], [], []
+    code, depth, first = np.zeros(2), None, True
     for k, before in enumerate(scene.pairs):
         empty, code = blank(take.stored[before.here]["motion"])
         empty = resampled(empty, take.size)
@@ -63,18 +67,11 @@ def blanks_of(take: Take, scene: Scene) -> Blanks | None:
         points = pick_points(image, solid if solid.mean() > EMPTY_SHARE else empty, POINTS // 2, k)
         if len(points) < 200:
             continue
-        pair = replace(
-            pair_of([image, take.images[before.there].astype(np.float32)], 0, 1, points),
-            here=before.here, there=before.there,
-        )  # fmt: skip
-        depth = best_depth(take, pair, points) if depth is None else depth
-        field = recorded_field(take, pair, points, depth)
-        everywhere = recorded_field(take, before, scene.points[k], depth)
-        if field is None or everywhere is None:
-            model = fit_camera(pair)
-            field = polynomial(pair.x, pair.y, take.size) @ model
-            everywhere = polynomial(before.x, before.y, take.size) @ model
-            field, everywhere = field.T, everywhere.T
+        pair = between(take, before.here, before.there, points)
+        depth, first = (distance_of(take, pair, points) if first else depth), False
+        field = camera_motion(take, pair, points, depth)
+        after = scene.after[k]
+        onward = after and between(take, after.here, after.there, points)
         zero = np.zeros_like(pair.x)
         shift = fit_shift(pair, zero, zero)
         rest = fit_shift(pair, field[0], field[1])
@@ -82,7 +79,8 @@ def blanks_of(take: Take, scene: Scene) -> Blanks | None:
         still.append(misfit(pair, zero + shift[0], zero + shift[1])[apart])
         moved.append(misfit(pair, field[0] + rest[0], field[1] + rest[1])[apart])
         blocks.append((pair.block + k * 100)[apart])
-        fields.append(everywhere.astype(np.float32))
+        everywhere = [camera_motion(take, p, scene.points[k], depth) if p else None for p in (pair, onward)]
+        fields.append((everywhere[0], everywhere[1]))
     if len(still) < max(1, len(scene.pairs) // 2):
         return None
     a, b = np.concatenate(still), np.concatenate(moved)
@@ -92,8 +90,14 @@ def blanks_of(take: Take, scene: Scene) -> Blanks | None:
     complete = tuple(fields) if len(fields) == len(scene.pairs) else ()
     return Blanks(
         float(np.mean(shares)), float(np.mean(surfaces)), float(a.mean()), float(b.mean()), float(sure), code, complete,
-        depth or "",
+        depth,
     )  # fmt: skip
+
+
+def between(take: Take, here: int, there: int, points: np.ndarray) -> Pair:
+    """Two frames of a take in pixels of the first, given by linear index."""
+    images = [take.images[t].astype(np.float32) for t in (here, there)]
+    return replace(pair_of(images, 0, 1, points), here=here, there=there)
 
 
 def background(take: Take, t: int) -> np.ndarray:
@@ -115,45 +119,65 @@ def sky_of(depth: np.ndarray) -> np.ndarray:
     return out
 
 
-DEPTHS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "distance": lambda v: v,
-    "reversed": lambda v: NEAR / np.maximum(v, 1e-9),
-    "device": lambda v: NEAR / np.maximum(1 - v, 1e-9),
-    "hundredth": lambda v: v / 100,
-    "hundredfold": lambda v: v * 100,
-}
-"""What stored depth may be while nothing is known of it: distances from numbers."""
-
-NEAR = 0.1
-"""Near plane, where it matters before it is known."""
+FAR = 1e7
+"""Distance that stands for the background."""
 
 
-def best_depth(take: Take, pair: Pair, points: np.ndarray) -> str:
-    """The one of `DEPTHS` with which the recorded cameras make two frames agree best; empty without cameras or depth,
-    or where a smooth motion of the picture does better."""
-    errors = {}
-    for name in DEPTHS:
-        field = recorded_field(take, pair, points, name)
-        if field is not None:
-            rest = fit_shift(pair, field[0], field[1])
-            errors[name] = float(misfit(pair, field[0] + rest[0], field[1] + rest[1]).mean())
-    if not errors:
-        return ""
-    best = min(errors, key=errors.__getitem__)
-    best = "distance" if errors["distance"] < 1.02 * errors[best] else best
-    smooth = (polynomial(pair.x, pair.y, take.size) @ fit_camera(pair)).T
-    return best if errors[best] < 1.1 * float(misfit(pair, smooth[0], smooth[1]).mean()) else ""
+@dataclass(frozen=True)
+class Distance:
+    """How stored depth may be read while nothing else is known of it."""
+
+    kind: Literal["planar", "inverse", "device"] = "planar"
+    scale: float = 1.0
+
+    def of(self, stored: np.ndarray) -> np.ndarray:
+        """Distances from numbers."""
+        divisor = 1 - stored if self.kind == "device" else stored
+        plain = stored if self.kind == "planar" else 1 / np.maximum(divisor, 1e-9)
+        distances: np.ndarray = np.clip(self.scale * plain, 1e-6, FAR)
+        return distances
 
 
-def recorded_field(take: Take, pair: Pair, points: np.ndarray, reading: str = "distance") -> np.ndarray | None:
-    """What the recorded cameras do in points, from depth as one of `DEPTHS`; None without cameras or depth."""
-    depth = take.stored[pair.here].get("depth")
-    if not reading or depth is None or "cameras" not in take.recorded:
+def distance_of(take: Take, pair: Pair, points: np.ndarray) -> Distance | None:
+    """The reading of depth with which the recorded cameras make two frames agree best, as distances in their unit where
+    that is as good. None without cameras or depth, or where a smooth motion of the picture does better."""
+    if "cameras" not in take.recorded or "depth" not in take.stored[pair.here]:
         return None
-    numbers = at_points(depth, points, take.size)[0].astype(np.float64)
-    sky = at_points(sky_of(depth[0])[None], points, take.size)[0]
-    z = np.where(sky, 1e7, np.clip(DEPTHS[reading](np.nan_to_num(numbers, nan=SKY, posinf=SKY)), 1e-6, 1e7))
-    return caused(take, pair.here, pair.there, points, z).astype(np.float32)
+
+    numbers, sky = stored_depth(take, pair.here, points)
+
+    def error(reading: Distance) -> float:
+        field = caused(take, pair.here, pair.there, points, np.where(sky, FAR, reading.of(numbers)))
+        rest = fit_shift(pair, field[0], field[1], steps=2)
+        return float(misfit(pair, field[0] + rest[0], field[1] + rest[1]).mean())
+
+    kinds: tuple[Literal["planar", "inverse", "device"], ...] = ("planar", "inverse", "device")
+    best = min((Distance(kind, 10 ** (k / 2)) for kind in kinds for k in range(-6, 7)), key=error)
+    for finer in (1 / 6, 1 / 18, 1 / 54):
+        best = min((replace(best, scale=best.scale * 10 ** (k * finer)) for k in (-1, 0, 1)), key=error)
+    least = error(best)
+    best, least = (Distance(), error(Distance())) if error(Distance()) < 1.02 * least else (best, least)
+    smooth = (polynomial(pair.x, pair.y, take.size) @ fit_camera(pair)).T
+    return best if least < 1.1 * float(misfit(pair, smooth[0], smooth[1]).mean()) else None
+
+
+def camera_motion(take: Take, pair: Pair, places: np.ndarray, depth: Distance | None) -> np.ndarray:
+    """What the camera does between two frames at linear indices, `2 n` in pixels: what the recorded cameras say, and
+    without `depth` the smooth motion that fits the pictures in the points of the pair."""
+    if depth is not None:
+        numbers, sky = stored_depth(take, pair.here, places)
+        z = np.where(sky, FAR, depth.of(numbers))
+        return caused(take, pair.here, pair.there, places, z).astype(np.float32)
+    x, y = places % take.size[1] + 0.5, places // take.size[1] + 0.5
+    field: np.ndarray = (polynomial(x, y, take.size) @ fit_camera(pair)).T.astype(np.float32)
+    return field
+
+
+def stored_depth(take: Take, t: int, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Depth as stored at linear indices, and whether there is background."""
+    stored = take.stored[t]["depth"]
+    numbers = np.nan_to_num(at_points(stored, places, take.size)[0].astype(np.float64), nan=SKY, posinf=SKY)
+    return numbers, at_points(sky_of(stored[0])[None], places, take.size)[0]
 
 
 def caused(take: Take, here: int, there: int, places: np.ndarray, z: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 from framecast.clip import Record
 from framecast.doctor.camera import sky_of
 from framecast.doctor.edges import edges_of, grain_of, solid_depths
+from framecast.doctor.follow import Step, steps_of
 from framecast.doctor.jitter import Match
 from framecast.doctor.motion import displacement, resampled
 from framecast.doctor.report import Finding, Report
@@ -20,16 +21,15 @@ from framecast.doctor.say_rest import (
     tell_edges,
     tell_exposure,
     tell_normals,
-    tell_odd,
     tell_offset,
     tell_padding,
     tell_time,
 )
-from framecast.doctor.search import Shake, measured_scale
+from framecast.doctor.search import Shake
 from framecast.doctor.source import Source, open_source
 from framecast.doctor.surface import normals_of, tone_of
 from framecast.doctor.take import Take, load
-from framecast.doctor.timeline import Step, exposure_of, steps_of
+from framecast.doctor.timeline import exposure_of
 from framecast.exr import ClipError
 from framecast.importers.decode import decode_depth
 from framecast.importers.settings import Depth, Jitter, Motion, Settings
@@ -72,17 +72,17 @@ def examine(folder: Path | str) -> Examined:
     settings = source.claim if crop is None else replace(source.claim, crop=crop)
     told, late, offset = _vectors(take, settings.motion)
     odd, apart, steps = _odd(take, told)
-    if apart and len(apart) < len(take.pairs) / 2:
-        take = replace(take, joined=tuple(j and t not in apart for t, j in enumerate(take.joined)))
-        told, late, offset = _vectors(take, settings.motion)
-        steps = steps_of(take, told.answer.best.reading, told.answer.shifts) if told.answer else []
+    if apart and len(apart) < len(take.pairs) / 2:  # what the others say is asked again without those
+        told, late, offset = _vectors(take.without(apart), settings.motion)
+        odd, apart, steps = _odd(take, told)
+        take, steps = take.without(apart), [step for step in steps if step.frame not in apart]
     findings += [*told.findings, *late, *odd]
     fields = fields_of(take, told, _some(take))
     shake = told.answer.shake if told.answer and told.motion else Shake((), np.zeros((0, 2)), None, None)
-    jittered = False
+    jittered, ahead = False, int(told.answer is not None and "next" in told.answer.best.reading.motion.direction)
     if told.answer is not None and told.motion is not None and len(shake.measured) >= 2:
         every = fields_of(take, told, take.pairs)
-        said, jitter, jittered = tell_jitter(take, shake, every, settings.jitter, partial=bool(told.lacks))
+        said, jitter, jittered = tell_jitter(take, shake, every, settings.jitter, ahead=ahead, partial=bool(told.lacks))
         findings += said
         settings = replace(settings, jitter=jitter)
     if told.motion is not None and settings.motion is not None:
@@ -91,7 +91,7 @@ def examine(folder: Path | str) -> Examined:
         )
     if settings.cameras is None and "jitter" in take.recorded and not jitter_gone(findings):
         settings = replace(settings, jitter=_recorded(source, settings.jitter))
-    settings, said = _surfaces(source, take, settings, _unshaken(take, fields, jittered))
+    settings, said = _surfaces(source, take, settings, _unshaken(take, fields, ahead) if jittered else fields)
     findings += said
     settings, said = _light(source, take, settings, told, steps)
     findings += said
@@ -170,28 +170,17 @@ def _vectors(take: Take, claim: Motion | None) -> tuple[Told, list[Finding], int
 def _odd(take: Take, told: Told) -> tuple[list[Finding], set[int], list[Step]]:
     """What is wrong between single frames, and which: those say nothing about what the vectors of the others mean; and
     all frames against the ones before."""
-    answer = told.answer
-    if answer is None:
-        return [], set(), []
-    steps = steps_of(take, answer.best.reading, answer.shifts)
-    scales = measured_scale(take, answer.scene, answer.best, answer.shifts) if told.motion is not None else {}
-    said, apart = tell_time(take, steps, scales)
-    if told.motion is not None and told.lacks != "camera":  # what is left of such vectors explains no picture
-        whole = replace(take, joined=tuple(j and t not in apart for t, j in enumerate(take.joined)))
-        more, others = tell_odd(whole, fields_of(whole, told, whole.pairs), answer.shifts)
-        said, apart = said + more, apart | others
-    return said, apart, steps
+    steps = steps_of(take, told)
+    vectors = {t: take.stored[t]["motion"] for t in take.pairs if "motion" in take.stored[t]}
+    empty = [t for t, v in vectors.items() if np.ptp(v.reshape(len(v), -1), axis=1).max() == 0]
+    return *tell_time(take, steps, empty if told.motion is not None and not told.lacks else ()), steps
 
 
-def _unshaken(take: Take, fields: Mapping[int, np.ndarray], jittered: bool) -> dict[int, np.ndarray]:
-    """Vectors without the jitter that they may hold (where it is recorded)."""
-    if not jittered:
-        return dict(fields)
-    out = {}
-    for t, field in fields.items():
-        step = np.array(take.records[t].jitter) - np.array(take.records[t - 1].jitter)
-        out[t] = field - step[:, None, None].astype(np.float32)
-    return out
+def _unshaken(take: Take, fields: Mapping[int, np.ndarray], ahead: int) -> dict[int, np.ndarray]:
+    """Vectors without the jitter that they hold (where it is recorded)."""
+    jitter = np.array([record.jitter for record in take.records], np.float32)
+    steps = {t: jitter[t + ahead] - jitter[t + ahead - 1] for t in fields if t + ahead < len(jitter)}
+    return {t: fields[t] - step[:, None, None] for t, step in steps.items()}
 
 
 def _surfaces(

@@ -74,8 +74,9 @@ class Scene:
     size: tuple[int, int]
     own: tuple[int, int]
     """Height and width of the vectors' own image."""
-    base: tuple[np.ndarray, ...] = ()
-    """Displacements `2 n` a pair that are added to the vectors: the camera's part, where they lack it."""
+    base: tuple[tuple[np.ndarray, np.ndarray | None], ...] = ()
+    """Displacements `2 n` a pair that are added to the vectors, to the frame before and to the next one: the camera's
+    part, where they lack it."""
 
 
 def displacement(stored: np.ndarray, motion: Motion, size: tuple[int, int], own: tuple[int, int]) -> np.ndarray:
@@ -225,7 +226,7 @@ def glance(take: Take, scene: Scene, reading: Reading, name: str) -> float:
         some = np.flatnonzero(moving)[:: max(1, int(moving.sum()) // 400)]
         stored = at_points(take.stored[before.here][name], scene.points[k][some], take.size)
         v = displacement(stored, reading.motion, scene.size, scene.own) * np.float32(take.stretch)
-        v = v + scene.base[k][:, some] if scene.base else v
+        v = v + _base(scene, k, reading)[:, some] if scene.base else v
         there = sample(pair.other, pair.x[some] + v[0], pair.y[some] + v[1])
         errors.append(np.minimum(np.abs(pair.value[:, some] - there).mean(0), 1))
     return float(np.concatenate(errors).mean()) if errors else float("inf")
@@ -253,7 +254,13 @@ def vectors_of(take: Take, scene: Scene, k: int, reading: Reading, name: str) ->
         return None
     stored = at_points(take.stored[source][name], scene.points[k], take.size)
     v = displacement(stored, reading.motion, scene.size, scene.own) * np.float32(take.stretch)
-    return v + scene.base[k] if scene.base else v
+    return v + _base(scene, k, reading) if scene.base else v
+
+
+def _base(scene: Scene, k: int, reading: Reading) -> np.ndarray:
+    """What is added to the vectors of a pair so read."""
+    before, after = scene.base[k]
+    return after if after is not None and "next" in reading.motion.direction else before
 
 
 def margin(best: Trial, other: Trial, scene: Scene) -> tuple[float, float, float]:

@@ -3,17 +3,17 @@
 Both are drawn in one image, this frame in red and the fetched one in cyan: grey where they agree, coloured where not.
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 
-from framecast.doctor.camera import recorded_field
+from framecast.doctor.camera import between, camera_motion
 from framecast.doctor.examine import Examined
 from framecast.doctor.motion import Shifts, displacement, resampled
-from framecast.doctor.probe import pair_of, sample
+from framecast.doctor.probe import sample
+from framecast.doctor.say_motion import Told
 from framecast.doctor.search import recorded_shifts
 from framecast.doctor.take import Take
 from framecast.exr import whole
@@ -37,7 +37,7 @@ def draw(examined: Examined, path: Path) -> Path:
     as_found = as_claimed
     if told.answer is not None and told.motion is not None:
         as_found = _whole(take, t, told.motion, told.answer.best.reading.offset)
-        as_found = as_found + _camera(take, t, told.lacks, told.blanks.depth if told.blanks else "", as_found)
+        as_found = as_found + _camera(take, t, told, as_found)
     first = as_claimed + _shift(recorded_shifts(take, [t])[0])
     second = as_found + _shift(_found_shift(told.answer.shifts if told.answer else None, t))
     names = ("as claimed", "as found")
@@ -74,17 +74,14 @@ def _whole(take: Take, t: int, motion: Motion, offset: int) -> np.ndarray:
     return -planes if "next" in motion.direction else planes
 
 
-def _camera(take: Take, t: int, lacks: str, depth: str, found: np.ndarray) -> np.ndarray:
+def _camera(take: Take, t: int, told: Told, found: np.ndarray) -> np.ndarray:
     """What the recorded cameras add to vectors that lack it."""
+    if not told.lacks or told.blanks is None or told.blanks.depth is None:
+        return np.zeros_like(found)
     everything = np.arange(take.size[0] * take.size[1])
-    if not lacks:
-        return np.zeros_like(found)
-    pair = pair_of([take.images[t].astype(np.float32)] * 2, 0, 1, everything[:1])
-    field = recorded_field(take, replace(pair, here=t, there=t - 1), everything, depth)
-    if field is None:
-        return np.zeros_like(found)
-    field = field.reshape(found.shape)
-    return field if lacks == "camera" else np.where(np.abs(found).max(0) == 0, field, 0)
+    pair = between(take, t, t - 1, everything[:1])
+    field = camera_motion(take, pair, everything, told.blanks.depth).reshape(found.shape)
+    return field if told.lacks == "camera" else np.where(np.abs(found).max(0) == 0, field, 0)
 
 
 def _shift(pair: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ are pixels (column + 0.5, row + 0.5 at centres), vectors are pixels, x right, y 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -67,6 +67,29 @@ def sample(
     return upper * (1 - fy) + lower * fy
 
 
+def spline(
+    image: Float[np.ndarray, "3 h w"], x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "3 n"]:
+    """Values at positions under a quadratic B-spline; outside, those of the edge.
+
+    It blurs equally wherever a position lies. Bilinear values are blurred between pixels and sharp on them, so that of
+    two readings of the vectors the one that leads onto pixels, standing still above all, would be favoured.
+    """
+    height, width = image.shape[1:]
+    column, row = np.clip(np.floor(x), 1, width - 2), np.clip(np.floor(y), 1, height - 2)
+    across = _weights(np.clip(x - column - 0.5, -0.5, 0.5))
+    down = _weights(np.clip(y - row - 0.5, -0.5, 0.5))
+    flat, at = image.reshape(len(image), -1), row.astype(np.int64) * width + column.astype(np.int64)
+    rows = [sum(flat[:, at + j * width + i] * across[i + 1] for i in (-1, 0, 1)) for j in (-1, 0, 1)]
+    blended: np.ndarray = rows[0] * down[0] + rows[1] * down[1] + rows[2] * down[2]
+    return blended
+
+
+def _weights(d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of three neighbours, for a position `d` pixels beside the middle one."""
+    return (0.5 - d) ** 2 / 2, 0.75 - d * d, (0.5 + d) ** 2 / 2
+
+
 @dataclass(frozen=True)
 class Pair:
     """A frame and another one, as seen in points of the frame."""
@@ -78,12 +101,21 @@ class Pair:
     y: Float[np.ndarray, " n"]
     value: Float[np.ndarray, "3 n"]
     """The frame's own image in the points."""
+    soft: Float[np.ndarray, "3 n"]
+    """The same under a `spline`."""
     slope_x: Float[np.ndarray, "3 n"]
     slope_y: Float[np.ndarray, "3 n"]
     other: Float[np.ndarray, "3 h w"]
     """The other frame's image."""
     block: np.ndarray
     """Number of the block in which each point lies."""
+
+    def at(self, use: Bool[np.ndarray, " n"]) -> "Pair":
+        """Some of the points."""
+        return replace(
+            self, x=self.x[use], y=self.y[use], value=self.value[:, use], soft=self.soft[:, use],
+            slope_x=self.slope_x[:, use], slope_y=self.slope_y[:, use], block=self.block[use],
+        )  # fmt: skip
 
 
 MARGIN = 4
@@ -118,15 +150,15 @@ def pair_of(images: Sequence[Float[np.ndarray, "3 h w"]], here: int, there: int,
     row, column = points // width, points % width
     along_x, along_y = slopes(image, points)
     block = (row * BLOCKS // height) * BLOCKS + column * BLOCKS // width
+    x, y = (column + 0.5).astype(np.float32), (row + 0.5).astype(np.float32)
     return Pair(
-        here, there, (column + 0.5).astype(np.float32), (row + 0.5).astype(np.float32),
-        image.reshape(3, -1)[:, points], along_x, along_y, images[there], block,
+        here, there, x, y, image.reshape(3, -1)[:, points], spline(image, x, y), along_x, along_y, images[there], block,
     )  # fmt: skip
 
 
 def misfit(pair: Pair, dx: Float[np.ndarray, " n"], dy: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """How different the other frame looks where each point is said to have been, at most 1; gain taken out."""
-    difference = pair.value - sample(pair.other, pair.x + dx, pair.y + dy)
+    difference = pair.soft - spline(pair.other, pair.x + dx, pair.y + dy)
     return np.minimum(np.abs(difference - np.median(difference[:, ::4])).mean(0), 1)
 
 

@@ -17,16 +17,17 @@ give 0.4, vectors that are not exact a tenth."""
 
 
 def tell_jitter(
-    take: Take, shake: Shake, fields: Mapping[int, np.ndarray], claim: Jitter, *, partial: bool = False
+    take: Take, shake: Shake, fields: Mapping[int, np.ndarray], claim: Jitter, *, ahead: int = 0, partial: bool = False
 ) -> tuple[list[Finding], Jitter, bool]:
     """Findings, how to read the jitter, and whether the vectors hold it.
 
     Args:
         fields: vectors `2 h w` in pixels towards the previous frame.
+        ahead: 1 where they were made from vectors to the next frame.
         partial: vectors are missing in a good part of the picture, so that shifts are those of some objects.
     """
     recorded = "jitter" in take.recorded
-    inside = inner_shake(take, fields)
+    inside = inner_shake(take, fields, ahead)
     if inside is not None:
         said, match, sequence = inside
         known = "as recorded" if said == "recorded" else "by a Halton sequence"
@@ -162,13 +163,13 @@ def altered(take: Take) -> list[tuple[str, np.ndarray]]:
 
 
 def inner_shake(
-    take: Take, fields: Mapping[int, np.ndarray]
+    take: Take, fields: Mapping[int, np.ndarray], ahead: int = 0
 ) -> tuple[str, Match, tuple[int, int, Match] | None] | None:
     """Whether the vectors themselves shake: their median over the picture, by its second differences in time.
 
     Returns what they follow (recorded, halton), or None where they do not shake.
     """
-    frames = sorted(fields)
+    frames = [t for t in sorted(fields) if t + ahead < len(take.numbers)]
     runs = [t for t in frames if t - 1 in fields and t - 2 in fields]
     if len(runs) < 3:
         return None
@@ -178,7 +179,7 @@ def inner_shake(
         return None
 
     def bends(positions: np.ndarray) -> np.ndarray:
-        step = {t: positions[t] - positions[t - 1] for t in frames}
+        step = {t: positions[t + ahead] - positions[t + ahead - 1] for t in frames}
         return np.array([step[t] - 2 * step[t - 1] + step[t - 2] for t in runs])
 
     if "jitter" in take.recorded:
@@ -191,7 +192,7 @@ def inner_shake(
     best: tuple[float, tuple[int, int, Match]] | None = None
     for length in (8, 16, 32, 64):
         for start in range(length):
-            match = compare(bend, bends(halton(start, length, max(frames) + 1)))
+            match = compare(bend, bends(halton(start, length, len(take.numbers))))
             if (
                 match.explained > 0.9
                 and all(0.7 < abs(s) < 1.3 for s in match.slope)

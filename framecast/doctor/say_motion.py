@@ -69,7 +69,7 @@ def tell_motion(take: Take, claim: Motion) -> Told:
     if lacks == "camera":
         motion = replace(motion, camera=False)
     elif lacks == "written":
-        motion = replace(motion, unwritten=0.0 if marked or blanks is None else blanks.code)
+        motion = replace(motion, unwritten=0.0 if marked or blanks is None else float(blanks.code[0]))
     return Told(tuple(findings), motion, answer, blanks, lacks)
 
 
@@ -142,11 +142,7 @@ def moving_parts(scene: Scene) -> int:
             use = pair.block == block
             if use.sum() < 60:
                 continue
-            part = replace(
-                pair, x=pair.x[use], y=pair.y[use], value=pair.value[:, use], slope_x=pair.slope_x[:, use],
-                slope_y=pair.slope_y[:, use], block=pair.block[use],
-            )  # fmt: skip
-            z = zero[use]
+            part, z = pair.at(use), zero[use]
             dx, dy = fit_shift(part, z + whole[0], z + whole[1], limit=4, steps=8)
             before = misfit(part, z + whole[0], z + whole[1]).mean()
             after = misfit(part, z + whole[0] + dx, z + whole[1] + dy).mean()
@@ -282,7 +278,7 @@ def _blank_finding(blanks: Blanks, lacks: str) -> Finding:
         return Finding("motion.camera", "fix", says, blanks.still, blanks.moved, blanks.votes)
     says = (
         f"vectors were not written where nothing moves by itself ({blanks.share:.0%} of the "
-        f"picture holds {blanks.code:g}): {errors}"
+        f"picture holds {blanks.code[0]:g}): {errors}"
     )
     return Finding("motion.unwritten", "fix", says, blanks.still, blanks.moved, blanks.votes)
 

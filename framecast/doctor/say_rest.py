@@ -1,22 +1,20 @@
 """Verdicts about normals, colour, silhouettes, precision, and what happens from frame to frame."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from framecast.doctor.edges import Edges, Grain, alignments
-from framecast.doctor.motion import Shifts
-from framecast.doctor.probe import fit_shift, misfit, pair_of, pick_points
+from framecast.doctor.follow import Step
 from framecast.doctor.report import Finding, State
-from framecast.doctor.surface import Normals, Tone
+from framecast.doctor.surface import Normals, Signs, Tone
 from framecast.doctor.take import Take
-from framecast.doctor.timeline import Exposure, Step, cuts, padding, repeats, skips
+from framecast.doctor.timeline import Exposure, cuts, padding, repeats, reversals, skips
 from framecast.importers.blender import ranges
 from framecast.importers.settings import Color, Normal
 
-TURNED = 4.0
-"""Degrees from which on a camera is turned against the world by more than normals are off in any case."""
+Space = tuple[str, Signs]
 
 
 def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding], Normal | None]:
@@ -63,7 +61,9 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
             )
         )
         return out, None
-    if angles[best] < angles[claimed] - 2 and angles[best] < 0.7 * angles[claimed]:
+    if (angles[best] < angles[claimed] - 2 and angles[best] < 0.7 * angles[claimed]) or straighter(
+        normals, best, claimed
+    ):
         space, sign = best
         turned = [axis for axis, s, c in zip("xyz", sign, claim.sign, strict=True) if s != c]
         where = f"in {space} space, not in {claim.space} space" if space != claim.space else ""
@@ -75,7 +75,7 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
         )
         out.append(Finding(code, "fix", says, angles[claimed], angles[best]))
         found = replace(found, space=space, sign=sign)  # type: ignore[arg-type]
-    elif normals.turning < TURNED and not out:
+    elif not straighter(normals, claimed, ("view" if claim.space == "world" else "world", claim.sign)) and not out:
         says = (
             f"normals fit the slopes of depth ({angles[claimed]:.1f} degrees off); whether they are in world or view "
             f"space cannot be told, the camera is turned by {normals.turning:.1f} degrees only; record one that turns"
@@ -90,6 +90,11 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
             )
         )
     return out, found
+
+
+def straighter(normals: Normals, one: Space, other: Space) -> bool:
+    """Whether one way to read normals fits planes and another one does not, however little they differ."""
+    return normals.flat[other] - normals.flat[one] > 0.2 and normals.flat[one] < 0.5 * normals.flat[other]
 
 
 def _without_cameras(normals: Normals, out: list[Finding], found: Normal) -> tuple[list[Finding], Normal]:
@@ -195,30 +200,44 @@ def tell_exposure(exposure: Exposure, frames: int) -> tuple[list[Finding], tuple
     return [], None
 
 
-def tell_time(take: Take, steps: Sequence[Step], scales: Mapping[int, float]) -> tuple[list[Finding], set[int]]:
-    """Cuts, frames left out, frames repeated; and which frames do not follow the one before as the others do."""
-    number = take.numbers
+def tell_time(take: Take, steps: Sequence[Step], empty: Sequence[int]) -> tuple[list[Finding], set[int]]:
+    """Cuts, frames left out or repeated, vectors turned around or missing, unlike those of the other frames; and which
+    frames do not follow the one before as the others do.
+
+    Args:
+        empty: frames all of whose vectors are 0.
+    """
+    names = lambda found: ranges(take.numbers[t] for t in found)  # noqa: E731
     out, apart = [], set[int]()
-    if found := cuts(steps):
+    if cut := cuts(steps):
         says = (
-            f"the picture changes altogether at frame {ranges(number[t] for t in found)}: a cut, or "
-            "another shot; split the folder there, or record the cut"
+            f"the picture changes altogether at frame {names(cut)}: a cut, or another shot; split the folder there, or "
+            "record the cut"
         )
         out.append(Finding("frames.cut", "fix", says))
-        apart |= {*found}
-    if found := repeats(steps):
-        says = f"frame {ranges(number[t] for t in found)} is the frame before once more; export it again"
+        apart |= {*cut}
+    if again := repeats(steps):
+        says = f"frame {names(again)} is the frame before once more; export it again"
         out.append(Finding("frames.repeated", "fix", says))
-        apart |= {*found, *(t + 1 for t in found)}
-    if found := [t for t in skips(scales) if t not in apart]:
-        most = max(scales[t] for t in found)
+        apart |= {*again, *(t + 1 for t in again)}
+    if found := {t: factor for t, factor in skips(steps).items() if t not in apart}:
         says = (
-            f"before frame {ranges(number[t] for t in found)} the picture moves {most:.1f} times as "
-            "far as the vectors, elsewhere it does not: "
-            f"a frame is missing there"
+            f"before frame {names(found)} the picture moves {max(found.values()):.1f} times as far as the vectors, "
+            "elsewhere it does not: a frame is missing there"
         )
         out.append(Finding("frames.skipped", "fix", says))
         apart |= {*found}
+    if turned := {t: source for t, source in reversals(steps).items() if t not in apart}:
+        says = (
+            f"vectors of frame {names(turned.values())} are turned around, unlike those of the other frames (they "
+            "point to the next frame?)"
+        )
+        out.append(Finding("motion.turned", "fix", says))
+        apart |= {*turned}
+    if empty and len(empty) < len(take.pairs):
+        says = f"vectors of frame {names(empty)} are all 0, unlike those of the other frames; export them again"
+        out.append(Finding("motion.missing", "fix", says))
+        apart |= {*empty}
     return out, apart
 
 
@@ -280,50 +299,3 @@ def tell_padding(take: Take) -> tuple[list[Finding], tuple[int, int] | None]:
         f"picture is {width - right}x{height - below}"
     )
     return [Finding("frames.padded", "fix", says)], (width - right, height - below)
-
-
-def tell_odd(take: Take, fields: Mapping[int, np.ndarray], shifts: Shifts | None) -> tuple[list[Finding], set[int]]:
-    """Frames whose vectors are turned around, or missing, unlike those of the other frames; and which those are."""
-    turned, empty = [], []
-    for t in sorted(fields):
-        v = fields[t]
-        if not take.joined[t] or np.abs(v).max() == 0:
-            empty += [t] if take.joined[t] else []
-            continue
-        image = take.images[t].astype(np.float32)
-        moving = np.abs(v).max(0) > 0.5
-        points = pick_points(image, moving, 1500, t)
-        if len(points) < 100:
-            continue
-        pair = pair_of([image, take.images[t - 1].astype(np.float32)], 0, 1, points)
-        d = v.reshape(2, -1)[:, points]
-        errors = {}
-        for sign in (1, -1):
-            dx, dy = (
-                fit_shift(pair, sign * d[0], sign * d[1], steps=3)
-                if shifts is None
-                else shifts.get((t, t - 1), (0.0, 0.0))
-            )
-            errors[sign] = float(misfit(pair, sign * d[0] + dx, sign * d[1] + dy).mean())
-        if errors[-1] < 0.75 * errors[1]:
-            turned.append(t)
-    out, apart = [], set[int]()
-    usable = len(fields)
-    if turned and len(turned) <= usable // 3:
-        says = (
-            f"vectors of frame {ranges(take.numbers[t] for t in turned)} are turned around, unlike "
-            "those of the other frames (they point to the next frame?)"
-        )
-        out.append(Finding("motion.turned", "fix", says))
-        apart |= {*turned}
-    if empty and len(empty) < usable:
-        out.append(
-            Finding(
-                "motion.missing",
-                "fix",
-                f"vectors of frame {ranges(take.numbers[t] for t in empty)} are all 0, unlike those of "
-                "the other frames; export them again",
-            )
-        )
-        apart |= {*empty}
-    return out, apart

@@ -19,7 +19,7 @@ from framecast.doctor.motion import (
     trial,
     vectors_of,
 )
-from framecast.doctor.probe import fit_shift, misfit
+from framecast.doctor.probe import fit_shift
 from framecast.doctor.take import Take
 from framecast.importers.settings import Motion
 
@@ -210,38 +210,3 @@ def doubts(take: Take, scene: Scene, best: Trial, shifts: Shifts | None, name: s
         if sure < SURE or theirs < RATIO * ours:
             unsure.append(what)
     return tuple(unsure)
-
-
-def best_offset(
-    take: Take, scene: Scene, best: Trial, shifts: Shifts | None, name: str = "motion"
-) -> tuple[int, tuple[float, float]]:
-    """By how many frames the vectors are late (the file numbered n holds those of n + offset), and the errors."""
-    for offset in (1, -1):
-        rival = trial(take, scene, replace(best.reading, offset=offset), shifts, name)
-        ours, theirs, sure = margin(rival, best, scene)
-        if sure >= SURE and theirs > 1.1 * ours:
-            return offset, (theirs, ours)
-    return 0, (0.0, 0.0)
-
-
-def measured_scale(
-    take: Take, scene: Scene, best: Trial, shifts: Shifts | None, name: str = "motion"
-) -> dict[int, float]:
-    """For each frame of the pairs the factor on the vectors with which the frames agree best."""
-    out = {}
-    for k, (before, after, moving) in enumerate(zip(scene.pairs, scene.after, scene.moving, strict=True)):
-        pair = after if "next" in best.reading.motion.direction else before
-        v = vectors_of(take, scene, k, best.reading, name)
-        if pair is None or shifts is None or v is None or not moving.any():
-            continue
-        shift = shifts.get((pair.here, pair.there), (0.0, 0.0))
-        base = scene.base[k] if scene.base else np.zeros_like(v)
-        x, y = base[0] + shift[0], base[1] + shift[1]
-        v = v - base
-        errors = {f: misfit(pair, f * v[0] + x, f * v[1] + y)[moving].mean() for f in SCALES}
-        out[before.here] = float(min(errors, key=errors.__getitem__))
-    return out
-
-
-SCALES = tuple(float(round(f, 3)) for f in np.geomspace(1 / 3, 3, 15))
-"""Factors that are tried."""

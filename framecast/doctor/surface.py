@@ -28,6 +28,9 @@ class Normals:
     encoded_share: float
     """Share of the pixels that hold a unit vector as they are, and as n / 2 + 1/2."""
     angles: Mapping[tuple[str, Signs], float]
+    flat: Mapping[tuple[str, Signs], float]
+    """The same on planes, whose slopes are exact (the third of the pixels with the least angles), that look another way
+    from the camera than in the world."""
     free: Mapping[str, float]
     """The same after the best rotation of the world: `proper`, and `mirrored`, with one axis turned around."""
     facing: Mapping[Signs, float]
@@ -59,7 +62,7 @@ def normals_of(take: Take, depths: Mapping[int, np.ndarray], tangent: float, axe
         return None
     plain_share, encoded_share = np.mean(shares, 0)
     encoded = bool(encoded_share > plain_share)
-    scores: dict[tuple[str, Signs], list[float]] = {}
+    scores: dict[tuple[str, Signs], list[tuple[float, float]]] = {}
     free: dict[str, list[float]] = {"proper": [], "mirrored": []}
     facing: dict[Signs, list[float]] = {}
     turning, count = [], 0
@@ -72,29 +75,47 @@ def normals_of(take: Take, depths: Mapping[int, np.ndarray], tangent: float, axe
         if len(n) < 300:
             continue
         view = take.records[t].view if "cameras" in take.recorded else None
+        turn = np.asarray(view)[:3, :3] if view is not None else np.eye(3)
+        turned = slopes @ turn  # rows: world = view rotation transposed times camera
+        apart = np.linalg.norm(turned - slopes, axis=1)
+        tells = apart >= 0.5 * np.quantile(apart, 0.9)
         for sign in SIGNS:
             world = (n * sign) @ AXES[axes].T
-            scores.setdefault(("view", sign), []).append(angle(n * sign, slopes))
+            scores.setdefault(("view", sign), []).append(angles(n * sign, slopes, tells))
             facing.setdefault(sign, []).append(angle(world, slopes))
-            if view is not None:  # rows: world = view rotation transposed times camera
-                scores.setdefault(("world", sign), []).append(angle(world, slopes @ np.asarray(view)[:3, :3]))
+            if view is not None:
+                scores.setdefault(("world", sign), []).append(angles(world, turned, tells))
         if view is not None:
-            turning.append(float(np.degrees(np.arccos(np.clip((np.trace(np.asarray(view)[:3, :3]) - 1) / 2, -1, 1)))))
+            turning.append(float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))))
         for name, turn in zip(free, rotations(slopes, n @ AXES[axes].T), strict=True):
             free[name].append(angle(n @ AXES[axes].T, slopes @ turn))
     if not scores:
         return None
+    mean = {k: np.mean(v, 0) for k, v in scores.items()}
     return Normals(
-        encoded, float(plain_share), float(encoded_share), {k: float(np.mean(v)) for k, v in scores.items()},
+        encoded, float(plain_share), float(encoded_share), {k: float(v[0]) for k, v in mean.items()},
+        {k: float(v[1]) for k, v in mean.items()},
         {k: float(np.mean(v)) for k, v in free.items()}, {k: float(np.mean(v)) for k, v in facing.items()},
         float(np.mean(turning)) if turning else 0.0, count,
     )  # fmt: skip
 
 
-def angle(a: np.ndarray, b: np.ndarray) -> float:
-    """Mean angle in degrees between unit vectors `n 3`; the worst tenth (normal maps, edges) is left out."""
+def angles(a: np.ndarray, b: np.ndarray, some: np.ndarray) -> tuple[float, float]:
+    """Mean angle in degrees between unit vectors `n 3` without the worst tenth (normal maps, edges); and of the least
+    third of some of them."""
     degrees = np.degrees(np.arccos(np.clip((a * b).sum(1), -1, 1)))
-    return float(np.sort(degrees)[: max(1, int(0.9 * len(degrees)))].mean())
+    few = np.sort(degrees[some])
+    return least(np.sort(degrees), 0.9), least(few, 1 / 3)
+
+
+def angle(a: np.ndarray, b: np.ndarray) -> float:
+    """The first of `angles`."""
+    return angles(a, b, np.ones(len(a), bool))[0]
+
+
+def least(rising: np.ndarray, share: float) -> float:
+    """Mean of the smallest numbers of a sorted list."""
+    return float(rising[: max(1, int(share * len(rising)))].mean())
 
 
 def facets(z: np.ndarray, solid: np.ndarray, tangent: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,7 @@
 """What the experiments look at: some frames of a folder, their layers as stored, and images that can be compared."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -60,6 +60,10 @@ class Take:
     def pairs(self) -> list[int]:
         """Frames that follow the one before."""
         return [t for t in range(len(self.numbers)) if self.joined[t]]
+
+    def without(self, apart: Collection[int]) -> "Take":
+        """The same where these frames do not follow the ones before."""
+        return replace(self, joined=tuple(j and t not in apart for t, j in enumerate(self.joined)))
 
     def full(self, *names: str) -> list[int]:
         """Frames of which all these buffers were kept."""

@@ -5,75 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from framecast.doctor.motion import Reading, Shifts, displacement, resampled
-from framecast.doctor.probe import pair_of, pick_points, sample
+from framecast.doctor.follow import Step
 from framecast.doctor.take import Take
-
-BRIGHT = -0.7
-"""Value of a comparable image from which on a factor on the light is a step of nearly its logarithm."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """One frame against the one before."""
-
-    frame: int
-    likeness: float
-    """Correlation of the two pictures along the vectors."""
-    standing: float
-    """Correlation of the two pictures as they are."""
-    gain: float
-    """Natural logarithm of the factor on the brightness."""
-    unevenness: float
-    """How much that differs between parts of the picture (median deviation)."""
-    change: float
-    """Mean difference of the two pictures as they are; 0: the same picture twice."""
-
-
-def steps_of(take: Take, reading: Reading, shifts: Shifts | None) -> list[Step]:
-    """Every frame that is said to follow another one, whatever the vectors' direction."""
-    return [step for t in take.pairs if (step := step_of(take, t, reading, shifts)) is not None]
-
-
-def step_of(take: Take, t: int, reading: Reading, shifts: Shifts | None) -> Step | None:
-    """Frame `t` against the one before; None without texture."""
-    image, other = take.images[t].astype(np.float32), take.images[t - 1].astype(np.float32)
-    everywhere = np.ones(take.size, bool)
-    points = pick_points(image, everywhere, 3000, t)
-    if len(points) < 50:
-        return None
-    pair = pair_of([image, other], 0, 1, points)
-    v = np.zeros((2, len(points)), np.float32)
-    source = t - reading.offset
-    if "motion" in take.stored[t] and 0 <= source < len(take.stored) and "motion" in take.stored[source]:
-        stored = take.stored[source]["motion"]
-        own = (stored.shape[1], stored.shape[2])
-        row = ((points // take.size[1] + 0.5) * own[0] / take.size[0]).astype(int)
-        column = ((points % take.size[1] + 0.5) * own[1] / take.size[1]).astype(int)
-        v = displacement(stored[:, row, column], reading.motion, take.size, own) * np.float32(take.stretch)
-        v = -v if "next" in reading.motion.direction else v
-    dx, dy = (shifts or {}).get((t, t - 1), (0.0, 0.0))
-    along = sample(pair.other, pair.x + v[0] + dx, pair.y + v[1] + dy)
-    still = sample(pair.other, pair.x, pair.y)
-    ratio = (pair.value - along).mean(0)
-    lit = pair.value.mean(0) > BRIGHT
-    gain = float(np.median(ratio[lit])) if lit.sum() > 50 else 0.0
-    blocks = [
-        np.median(ratio[lit & (pair.block == b)])
-        for b in np.unique(pair.block[lit])
-        if (lit & (pair.block == b)).sum() > 15
-    ]
-    return Step(
-        t, _likeness(pair.value, along), _likeness(pair.value, still), gain,
-        float(np.median(np.abs(np.array(blocks) - gain))) if len(blocks) > 3 else np.inf,
-        float(np.abs(image - other).mean()),
-    )  # fmt: skip
-
-
-def _likeness(a: np.ndarray, b: np.ndarray) -> float:
-    """Correlation over points and channels."""
-    a, b = a - a.mean(), b - b.mean()
-    return float((a * b).mean() / max(np.sqrt((a * a).mean() * (b * b).mean()), 1e-9))
 
 
 def cuts(steps: Sequence[Step]) -> list[int]:
@@ -89,10 +22,18 @@ def repeats(steps: Sequence[Step]) -> list[int]:
     return [s.frame for s in steps if s.change < 0.02 * usual and usual > 1e-3]
 
 
-def skips(scales: Mapping[int, float]) -> list[int]:
-    """Frames before which the picture moves at least one and a half times as far as the vectors, unlike the others."""
-    usual = float(np.median(list(scales.values()))) if scales else 1.0
-    return [t for t, scale in scales.items() if scale > 1.55 and scale > 1.5 * usual]
+def skips(steps: Sequence[Step]) -> dict[int, float]:
+    """Frames before which the picture moves at least one and a half times as far as the vectors, unlike the others, and
+    how far."""
+    factors = {s.frame: s.factor for s in steps if s.factor is not None}
+    usual = float(np.median(list(factors.values()))) if factors else 1.0
+    return {t: factor for t, factor in factors.items() if factor > 1.55 and factor > 1.5 * usual}
+
+
+def reversals(steps: Sequence[Step]) -> dict[int, int]:
+    """Frames that the vectors explain better when they are turned around, unlike most, and whose vectors those are."""
+    turned = {s.frame: s.source for s in steps if s.turned < 0.75}
+    return turned if len(turned) <= len(steps) // 3 else {}
 
 
 @dataclass(frozen=True)
@@ -146,6 +87,3 @@ def _flat_end(image: np.ndarray) -> int:
     if same.all():
         return 0
     return int(np.argmin(same[::-1]))
-
-
-__all__ = ["Exposure", "Step", "cuts", "exposure_of", "padding", "repeats", "resampled", "skips", "steps_of"]
