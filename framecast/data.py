@@ -28,7 +28,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from framecast import labels as rules
-from framecast.clip import HALF, Clip, ClipError, Layers, Record
+from framecast.clip import HALF, Clip, ClipError, Layers, MotionView, Record
 from framecast.exr import whole
 from framecast.frame import BUFFERS, Frame, concatenate, unshaded
 from framecast.recipe import Recipe
@@ -263,14 +263,22 @@ class Samples(Dataset[Batch]):
     """Every sample by its number; the same one for the same seed, on any machine and in any process."""
 
     def __init__(
-        self, sources: Sequence[Footage], recipe: Recipe, *, fields: Sequence[str], seed: int, scale: float = 1
+        self,
+        sources: Sequence[Footage],
+        recipe: Recipe,
+        *,
+        fields: Sequence[str],
+        seed: int,
+        scale: float = 1,
+        motion: MotionView = "gap",
     ):
-        """`fields`: the buffers to read. `scale`: of the target; above 1 targets are crops of the references.
+        """`fields`: the buffers to read. `scale`: of the target; above 1 targets are crops of the references. `motion`:
+        of shaded frames with others between them, see `Clip.every`.
 
         Raises:
             ClipError: a clip lacks references that are needed, or none is long enough.
         """
-        self.sources, self.recipe, self.seed, self.scale = sources, recipe, seed, scale
+        self.sources, self.recipe, self.seed, self.scale, self.motion = sources, recipe, seed, scale, motion
         self.fields = (*fields, "color", "motion2")
         self.starts = [_starts(source.clip, recipe) for source in sources]
         if not any(self.starts):
@@ -314,7 +322,7 @@ class Samples(Dataset[Batch]):
     ) -> tuple[list[Frame], Tensor]:
         """Frames in arrival order from one place of a clip, and the truth of the last ones."""
         part = window(source, corner, size, self.fields)
-        view = part if self.recipe.mode == "pass" else part.every(2, start=start)
+        view = part if self.recipe.mode == "pass" else part.every(2, start=start, motion=self.motion)
         frames, targets = [], []
         for place in _places(self.recipe):
             if self.recipe.mode == "pass":

@@ -38,7 +38,7 @@ def census(a: Float[Tensor, "b c h w"], b: Float[Tensor, "b c h w"], side: int =
     return (apart / (0.1 + apart)).mean()
 
 
-def _rises(image: Float[Tensor, "b c h w"], side: int) -> Float[Tensor, "n b c h w"]:
+def _rises(image: Float[Tensor, "b c h w"], side: int) -> Float[Tensor, "n b c i j"]:
     """Differences of the neighbours to each pixel that has all of them, compressed."""
     edge = side // 2
     height, width = (n - 2 * edge for n in image.shape[-2:])

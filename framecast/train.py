@@ -81,7 +81,14 @@ def train(
     method = method.to(device, memory_format=torch.channels_last) if fast else method.to(device)
     optimiser = torch.optim.Adam(method.parameters(), lr=0.0, betas=recipe.betas)
     fields = dict.fromkeys((*method.needs, *method.needs_generated))
-    samples = Samples(sources, recipe, fields=tuple(fields), seed=settings.seed, scale=method.config.scale)
+    samples = Samples(
+        sources,
+        recipe,
+        fields=tuple(fields),
+        seed=settings.seed,
+        scale=method.config.scale,
+        motion="step" if method.step_motion else "gap",
+    )
     about = {**checkpoint.describe(name, method), **described(recipe, sources, settings)}
     start = resume(folder, name, method, optimiser, about) if (folder / "config.json").is_file() else 0
     if start == 0 and rank == 0:

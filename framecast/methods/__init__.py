@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from torch import nn
 
-from framecast.methods import classifier, extranet, extrass, mnss, nsrr
+from framecast.methods import classifier, extranet, extrass, mnss, nsrr, refine
 from framecast.methods.blend import Blend
 from framecast.methods.bsr import BSR
 from framecast.methods.classifier import Classifier
@@ -27,6 +27,7 @@ from framecast.methods.mnss import MNSS
 from framecast.methods.mobfgsr import Config as MobFGSRConfig
 from framecast.methods.mobfgsr import MobFGSR
 from framecast.methods.nsrr import NSRR
+from framecast.methods.refine import RefinedWarp
 from framecast.methods.taau import TAA, TAAU
 from framecast.methods.warp3d import Warp3D
 from framecast.methods.warps import OcclusionWarp, Warp
@@ -64,6 +65,7 @@ TRAINABLE: dict[str, tuple[Callable[[], nn.Module], Recipe]] = {
         replace(extranet.recipe, loss=extranet.loss_without_shading),
     ),
     "extrass": (ExtraSS, extrass.recipe),
+    "extrass-refined": (RefinedWarp, refine.recipe),
     "nsrr": (lambda: NSRR(nsrr.STEADY), nsrr.steady_recipe),
     "nsrr-five-frames": (lambda: NSRR(nsrr.FAST), nsrr.recipe),
     "mnss": (MNSS, mnss.recipe),

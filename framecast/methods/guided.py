@@ -18,15 +18,16 @@ Modes:   extrapolate
 State:   the last shaded frame: light and surfaces
 """
 
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, fields
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, library, nn
 
 from framecast.color import decode_log, modulate
-from framecast.frame import SKY, Frame
-from framecast.methods.reproject import as_image, as_rows, filled, light, likeness, squared, steps, surface
+from framecast.frame import SKY, Frame, missing
+from framecast.methods.reproject import as_image, as_rows, chosen, filled, light, likeness, squared, steps, surface
 from framecast.warp import inside, warp
 
 STRIDES = (1, 3, 5, 9)
@@ -179,13 +180,24 @@ class GuidedWarp(nn.Module):
         self.config = config
 
     def start(self, frame: Frame) -> Seen:
-        """The state before the first frame, which is `frame`."""
-        return Seen(light(frame), guides(frame), frame.jitter, frame.time)
+        """The state before the first frame, which is `frame`.
+
+        Raises:
+            ValueError: a buffer is missing.
+        """
+        require(frame, "extrass-warp", self.needs, self.needs_generated)
+        return seen(frame)
 
     def forward(self, frame: Frame, state: Seen) -> tuple[Float[Tensor, "b 3 h w"], Seen]:
-        """The frame's own image where it was shaded, else the last light on this frame's surfaces."""
+        """The frame's own image where it was shaded, else the last light on this frame's surfaces.
+
+        Raises:
+            ValueError: a buffer is missing.
+        """
+        require(frame, "extrass-warp", self.needs, self.needs_generated)
         if frame.color is not None:
-            return frame.color, self.start(frame)
+            return frame.color, seen(frame)
+        state = after_cut(frame, state, "extrass-warp")
         return self.generate(frame, state), state
 
     def generate(self, frame: Frame, state: Seen) -> Float[Tensor, "b 3 h w"]:
@@ -194,12 +206,47 @@ class GuidedWarp(nn.Module):
         return modulate(decode_log(image), surface(frame))
 
 
+def seen(frame: Frame) -> Seen:
+    """A shaded frame as guided warping reads it."""
+    return Seen(light(frame), guides(frame), frame.jitter, frame.time)
+
+
 def extrapolated(
-    frame: Frame, past: Seen, config: Config = Config()
+    frame: Frame, past: Seen, config: Config = Config(), motion: Float[Tensor, "b 2 h w"] | None = None
 ) -> tuple[Float[Tensor, "b 3 h w"], Bool[Tensor, "b 1 h w"]]:
     """The light of an earlier frame on the surfaces of this one, its holes filled from like surfaces around them, and
-    where it was found. Encoded by `encode_log`."""
+    where it was found. Encoded by `encode_log`. `motion`: effective, to that frame, where the frame's own leads to
+    another; after a cut none counts."""
     assert frame.depth is not None
     now = guides(frame)
-    image, known = guided_warp(past, now, steps(frame, past.time, past.jitter), config)
+    motion = steps(frame, past.time, past.jitter) if motion is None else motion
+    motion = chosen(frame.reset, torch.zeros_like(motion), motion)
+    image, known = guided_warp(past, now, motion, config)
     return filled([(image, known)], image, likeness(now[:, 3:6], frame.depth, now[:, :3])), known
+
+
+def after_cut(frame: Frame, past: Seen, name: str) -> Seen:
+    """What a frame that was not shaded goes by: the past, but where a shot begins with this very frame its own surfaces
+    under the mean light of that past, for nothing else is known of the new shot; with a warning that says so."""
+    if not bool(frame.reset.any()):
+        return past
+    warnings.warn(
+        f"a shot begins with the frame at time {float(frame.time[0]):g}, which was not shaded, so that {name} has "
+        f"nothing to extrapolate from: its surfaces are shown under the mean light of the shot before; shade the first "
+        f"frame of every shot",
+        stacklevel=3,
+    )
+    mean = past.light.mean((2, 3), keepdim=True).expand_as(past.light)
+    fresh = Seen(mean, guides(frame), frame.jitter, frame.time)
+    return Seen(**{f.name: chosen(frame.reset, getattr(fresh, f.name), getattr(past, f.name)) for f in fields(Seen)})
+
+
+def require(frame: Frame, name: str, needs: tuple[str, ...], needs_generated: tuple[str, ...]) -> None:
+    """Raises ValueError where a frame lacks buffers, one that was not shaded some of `needs_generated`."""
+    wanted = needs if frame.is_shaded else needs_generated
+    if lacking := missing(frame, wanted):
+        kind = "shaded" if frame.is_shaded else "not shaded"
+        raise ValueError(
+            f"the frame at time {float(frame.time[0]):g} was {kind} and has no {' and no '.join(lacking)}; {name} "
+            f"needs the {', '.join(wanted)} of such frames: render those passes for every frame, shaded or not"
+        )

@@ -130,13 +130,17 @@ class TAAU(nn.Module):
         warn_of_stillness(state.jitter, frame.jitter, name)
         return self.accumulate(frame, state)
 
-    def accumulate(self, frame: Frame, state: History) -> tuple[Float[Tensor, "b 3 H W"], History]:
-        """The arithmetic of `forward`."""
+    def accumulate(
+        self, frame: Frame, state: History, trust: Float[Tensor, "b 1 h w"] | None = None
+    ) -> tuple[Float[Tensor, "b 3 H W"], History]:
+        """The arithmetic of `forward`; `trust`, 0 to 1: what each sample counts, where not all are the renderer's."""
         size = output_size(frame, self.config.scale)
         color = to_ycocg(tonemap(present(frame.color)))
         nearest = nearest_sample((color.shape[-2], color.shape[-1]), size, frame.jitter)
         seen = reprojected(frame, state, color, nearest, self.config.scale)
         confidence = enlarge(color, size, frame.jitter, self.kernel, 3).peak
+        if trust is not None:
+            confidence = confidence * pick(trust, nearest)
         image = bounded_lanczos(color, size, frame.jitter)
         settled = (2 - seen.still / phases(self.config.scale)).clamp(0, 1)
         known = seen.weight > 0
