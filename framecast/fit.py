@@ -8,6 +8,7 @@ from typing import Any
 from framecast.checkpoint import fill
 from framecast.clip import Clip, ClipError
 from framecast.methods import METHODS, TRAINABLE
+from framecast.methods.compose import Composed, generating, scale_of
 from framecast.runtime import Mode
 
 Method = Any
@@ -28,8 +29,11 @@ PASSES = {
 def method_named(name: str, scale: float | None = None) -> Method:
     """A new instance of a method for a scale (by default its own), or one sentence on what there is.
 
-    "NAME=FILE" is the method NAME with the weights that a training run wrote, `runs/x/weights.safetensors`.
+    "NAME=FILE" is the method NAME with the weights that a training run wrote, `runs/x/weights.safetensors`; "a+b" is b
+    after a (`compose.py`), where the scale is that of the method that does not make frames.
     """
+    if "+" in name:
+        return after(*name.rsplit("+", 1), scale)
     name, _, weights = name.partition("=")
     names: Mapping[str, Any] = TRAINABLE if weights else METHODS
     if name not in names:
@@ -50,9 +54,14 @@ def method_named(name: str, scale: float | None = None) -> Method:
     return other
 
 
-def scale_of(method: Method) -> float:
-    """Output size divided by input size of a method as it was built."""
-    return float(getattr(getattr(method, "config", None), "scale", 1.0))
+def after(first: str, second: str, scale: float | None) -> Method:
+    """The method of one name after that of another."""
+    a, b = method_named(first), method_named(second)
+    if scale is not None and generating(a):
+        b = method_named(second, scale / scale_of(a))
+    elif scale is not None:
+        a = method_named(first, scale / scale_of(b))
+    return Composed(a, b, f"{first}+{second}")
 
 
 def supports(method: Method, mode: Mode) -> bool:

@@ -116,7 +116,8 @@ def parameters(module: nn.Module) -> int:
 def multiply_accumulates(module: nn.Module, run: Callable[[], object]) -> int:
     """Multiply-accumulate operations of all convolutions and linear layers of `module` while `run()` runs it.
 
-    On the `meta` device this costs nothing, whatever the size.
+    On the `meta` device this costs nothing, whatever the size. With gradients every layer is called for what it does:
+    without them some are done together with others.
     """
     total = 0
 
@@ -129,7 +130,8 @@ def multiply_accumulates(module: nn.Module, run: Callable[[], object]) -> int:
 
     hooks = [layer.register_forward_hook(count) for layer in module.modules()]
     try:
-        run()
+        with torch.enable_grad():
+            run()
     finally:
         for hook in hooks:
             hook.remove()

@@ -164,8 +164,9 @@ def compiled(method: nn.Module) -> nn.Module:
     """The method with its `parts` compiled for fixed sizes; eager, with one warning, where there is no C++ compiler.
 
     `parts` names the methods of the module that hold its arithmetic, so that the choice between them (shaded,
-    interpolated, extrapolated) stays outside of the graphs; without it the whole call is compiled. Compiled code is
-    kept in the user's cache folder between runs, so that only the first run of a size pays in full.
+    interpolated, extrapolated) stays outside of the graphs; without it the whole call is compiled. `inner` names those
+    of its submodules that are methods themselves. Compiled code is kept in the user's cache folder between runs, so
+    that only the first run of a size pays in full.
     """
     if not can_compile():
         warnings.warn("no C++ compiler found (install g++ or clang++): running without torch.compile", stacklevel=2)
@@ -173,6 +174,8 @@ def compiled(method: nn.Module) -> nn.Module:
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "framecast" / "compiled"
     os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache))
     fast = copy.copy(method)
+    for name in getattr(method, "inner", ()):
+        object.__setattr__(fast, name, compiled(getattr(method, name)))
     for name in getattr(method, "parts", ("forward",)):
         object.__setattr__(fast, name, torch.compile(getattr(method, name), dynamic=False, options=OPTIONS))
     object.__setattr__(fast, "start", lambda frame: _apart(method.start(frame)))  # type: ignore[operator]

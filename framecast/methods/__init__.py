@@ -13,12 +13,13 @@ from dataclasses import replace
 
 from torch import nn
 
-from framecast.methods import classifier, extranet, extrass, mnss, nsrr, refine
+from framecast.methods import classifier, extranet, extrass, fasset, mnss, nsrr, refine
 from framecast.methods.blend import Blend
 from framecast.methods.bsr import BSR
 from framecast.methods.classifier import Classifier
 from framecast.methods.extranet import ExtraNet
 from framecast.methods.extrass import ExtraSS
+from framecast.methods.fasset import FASSET
 from framecast.methods.filters import Bilinear, Lanczos
 from framecast.methods.fsr2 import FSR2
 from framecast.methods.guided import GuidedWarp
@@ -66,6 +67,12 @@ TRAINABLE: dict[str, tuple[Callable[[], nn.Module], Recipe]] = {
     ),
     "extrass": (ExtraSS, extrass.recipe),
     "extrass-refined": (RefinedWarp, refine.recipe),
+    "fasset": (lambda: FASSET(fasset.BETTER), fasset.recipe),
+    "fasset-published": (FASSET, fasset.published_recipe),
+    "fasset-without-gencoder": (lambda: FASSET(replace(fasset.BETTER, gencoder=False)), fasset.recipe),
+    "fasset-without-mask": (lambda: FASSET(replace(fasset.BETTER, mask=False)), fasset.recipe),
+    "fasset-without-sharing": (lambda: FASSET(replace(fasset.BETTER, shared=False)), fasset.recipe),
+    "fasset-without-offset": (lambda: FASSET(replace(fasset.BETTER, offset=False)), fasset.recipe),
     "nsrr": (lambda: NSRR(nsrr.STEADY), nsrr.steady_recipe),
     "nsrr-five-frames": (lambda: NSRR(nsrr.FAST), nsrr.recipe),
     "mnss": (MNSS, mnss.recipe),
