@@ -10,7 +10,7 @@ from torch import Tensor
 from framecast.frame import Frame, concatenate, unshaded
 from framecast.losses import census, charbonnier
 from framecast.methods.guided import GuidedWarp, guides
-from framecast.methods.refine import RefinedWarp, blended, followed, loss, shifted
+from framecast.methods.refine import RefinedWarp, blended, followed, loss, shadows, shifted
 from framecast.nets import parameters
 from framecast.warp import warp
 
@@ -150,13 +150,34 @@ def test_census_is_its_brute_force_twin_and_blind_to_brightness() -> None:
     torch.testing.assert_close(float(census(a, b, 3)), total / count, atol=1e-6, rtol=1e-4)
 
 
-def test_the_loss_knows_the_truth_and_gradients_reach_every_layer() -> None:
+def test_shadows_move_evenly_and_are_drawn_from_the_sample() -> None:
+    torch.manual_seed(6)
+    sample = torch.rand(1, 1, 3, 64, 96)
+    times = torch.tensor([[0.0], [1.0], [2.0]])
+    found = shadows((64, 96), times, sample)
+    assert 0.1 <= float(found.min()) < float(found.max()) <= 1
+    assert torch.equal(found, shadows((64, 96), times, sample))
+    assert not torch.allclose(found, shadows((64, 96), times, sample + 0.1), atol=0.1)
+
+    def apart(k: int, x: int, y: int) -> float:
+        return float((found[k].roll((y, x), (2, 3)) - found[k - 1])[..., 14:-14, 14:-14].abs().mean())
+
+    moves = [min((apart(k, x, y), x, y) for x in range(-12, 13) for y in range(-12, 13)) for k in (1, 2)]
+    assert moves[0][1:] == moves[1][1:] != (0, 0)
+    assert moves[0][0] < 0.2 * apart(1, 0, 0)
+
+
+def test_the_loss_is_of_light_that_moves_and_gradients_reach_every_layer(monkeypatch: pytest.MonkeyPatch) -> None:
     torch.manual_seed(4)
-    method = RefinedWarp()
-    frames, still = moving_light(4.0), moving_light(0.0)
+    method, frames, still = RefinedWarp(), moving_light(4.0), moving_light(0.0)
     targets = [shadowed(3.0, speed=s).color for s in (4.0, 0.0)]
     assert targets[0] is not None
     assert targets[1] is not None
+    made = loss(method, still, targets[1][:, None])
+    assert made["charbonnier"].item() > 0.02  # our own shadows
+    monkeypatch.setattr(
+        "framecast.methods.refine.shadows", lambda size, when, sample: torch.ones(len(when), 1, 1, *size)
+    )
     moving, calm = loss(method, frames, targets[0][:, None]), loss(method, still, targets[1][:, None])
     assert calm["charbonnier"].item() < 0.002 < 0.02 < moving["charbonnier"].item()
     assert calm["census"].item() < 1e-4 < moving["census"].item()

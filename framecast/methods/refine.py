@@ -11,6 +11,7 @@ Differs: What moves is light without texture: a shadow that crosses a floor leav
          flow of zero, with which training begins, changes nothing. Likeness (Eq. 6) is asked between both ends of it.
          Light is taken to move evenly: at each of its sizes the network sees features of the newer frame read along the
          flow, and of the older one along the flow times how much longer ago it was, alike where the flow is right.
+         In training shadows of our own making pass over the samples, for those of the scenes touch few pixels.
          Layers and widths are not published: four sizes of 16 to 48 channels and the residual blocks of IFRNet (Kong et
          al. 2022), whose coarse-to-fine form public re-implementations use.
 Needs:   color, depth, motion, albedo, metallic, normal, roughness; of the generated frame the same but color
@@ -43,6 +44,9 @@ ALIKE, UNLIKE = 0.1, 0.1
 
 SIDE = 16
 """Channels of the side branch in residual blocks."""
+
+FASTEST = 12.0
+"""Pixels that a shadow of our own making moves between the newer frame and the new one, at most."""
 
 
 @dataclass(frozen=True)
@@ -225,10 +229,15 @@ class RefinedWarp(nn.Module):
         """At half size, padded to multiples of 16: the flow, the newer light, and the decoder's features."""
         assert frame.roughness is not None
         a, b, roughness = (padded(halved(x), 16) for x in (recent, past, frame.roughness))
-        ago = [(frame.time - one.time).clamp(min=1e-3) for one in (state.newer, state.older)]
         middle = a.mean((1, 2, 3), keepdim=True)
-        flow, features = self.network(a - middle, b - middle, roughness, (ago[1] / ago[0]).clamp(1, 8))
+        flow, features = self.network(a - middle, b - middle, roughness, ago(frame, state))
         return flow, a, features
+
+
+def ago(frame: Frame, state: State) -> Float[Tensor, " b"]:
+    """How long ago the older frame was, divided by how long ago the newer was; within 1 and 8."""
+    newer, older = ((frame.time - one.time).clamp(min=1e-3) for one in (state.newer, state.older))
+    return (older / newer).clamp(1, 8)
 
 
 def followed(frame: Frame, state: State) -> State:
@@ -267,16 +276,19 @@ def blended(
 def loss(
     method: RefinedWarp, frames: Sequence[Frame], targets: Float[Tensor, "b 1 3 h w"]
 ) -> dict[str, Float[Tensor, ""]]:
-    """The three terms, of light at half size, for the last frame."""
+    """The three terms, of light at half size, for the last frame, over which shadows of our own making pass: those of
+    the scenes touch few pixels, too few to learn flow from."""
     state = method.start(frames[0])
     for frame in frames[1:-1]:
         state = followed(frame, state)
     frame = frames[-1]
     assert frame.roughness is not None
-    flow, light, features = method.flow(frame, state, *method.warped(frame, state))
-    truth, roughness = (
-        padded(halved(x), 16) for x in (encode_log(demodulate(targets[:, -1], surface(frame))), frame.roughness)
-    )
+    recent, past = method.warped(frame, state)
+    ratio, size = ago(frame, state), (recent.shape[-2], recent.shape[-1])
+    now, then, earlier = shadows(size, torch.stack((torch.zeros_like(ratio), torch.ones_like(ratio), ratio)), targets)
+    flow, light, features = method.flow(frame, state, shaded(recent, then), shaded(past, earlier))
+    truth = shaded(encode_log(demodulate(targets[:, -1], surface(frame))), now)
+    truth, roughness = (padded(halved(x), 16) for x in (truth, frame.roughness))
     image = shifted(light, flow)
     seen_in_truth = method.network.look(truth - light.mean((1, 2, 3), keepdim=True), roughness)[2::-1]
     pairs = zip(features, seen_in_truth, strict=True)
@@ -287,4 +299,30 @@ def loss(
     }
 
 
-recipe = Recipe(loss=loss, mode="extrapolate", shaded=2, crop=(128, 128), batch=4, steps=2000, rate=1e-3, warmup=100)
+def shadows(
+    size: tuple[int, int], when: Float[Tensor, "n b"], sample: Float[Tensor, "b 1 3 h w"]
+) -> Float[Tensor, "n b 1 h w"]:
+    """What random soft shadows leave of the light, 0.1 to 1, at each of these times ago; they move evenly, up to
+    `FASTEST` a unit of time. Numbers are drawn from the sample, so that a run that goes on draws them again."""
+    draw = torch.Generator().manual_seed(int(sample.double().sum() * 1e3) % 2**31)
+    batch, (height, width) = len(sample), size
+    cells = torch.randn(batch, 1, height // 8, width // 8, generator=draw)
+    angle, speed, sharp, dark = torch.rand(4, batch, generator=draw)
+    velocity = FASTEST * speed.sqrt() * torch.stack((torch.cos(2 * math.pi * angle), torch.sin(2 * math.pi * angle)))
+    y, x = torch.meshgrid(torch.linspace(-0.5, 0.5, height), torch.linspace(-0.5, 0.5, width), indexing="ij")
+    found = []
+    for ago in when.cpu():
+        aside, down = (velocity * ago)[:, :, None, None]
+        grid = torch.stack((x + aside / width, y + down / height), -1)
+        noise = F.grid_sample(cells, grid, mode="bicubic", padding_mode="reflection", align_corners=False)
+        cover = torch.sigmoid((noise - 0.3) * (4 + 16 * sharp[:, None, None, None]))
+        found.append(1 - 0.9 * dark[:, None, None, None] * cover)
+    return torch.stack(found).to(sample.device)
+
+
+def shaded(light: Float[Tensor, "b 3 h w"], by: Float[Tensor, "b 1 h w"]) -> Float[Tensor, "b 3 h w"]:
+    """Light, encoded by `encode_log`, of which a part is left."""
+    return encode_log(decode_log(light) * by)
+
+
+recipe = Recipe(loss=loss, mode="extrapolate", shaded=2, crop=(128, 128), batch=4, steps=1500, rate=1e-3, warmup=100)
