@@ -85,11 +85,13 @@ def unreal(v: np.ndarray, root: bool) -> np.ndarray:
 
 
 def camera_part(frames: Frames, i: int, name: str) -> np.ndarray:
-    """What the cameras alone do between a frame and its neighbour."""
+    """What the cameras alone do between a frame and its neighbour; everything where there is none."""
     from framecast.importers.decode import _bare
 
     (here, layers), there = frames[i], neighbour(frames, i, name)
     depth = layers["depth"].astype(np.float32)
+    if there is here:
+        return layers[name].astype(np.float32)
     if here.view is None or there.view is None:
         return np.zeros_like(layers[name], np.float32)
     return camera_motion(_bare(here, depth), _bare(there, depth))[0].numpy()
@@ -220,10 +222,10 @@ CORRUPTIONS: dict[str, Corruption] = {
     "Unreal root": Corruption(
         "motion", ("motion.code",), vectors(lambda v, *_: unreal(v, True)), NO_MOTION, ("motion.x",)
     ),
-    "no camera": Corruption("camera", ("motion.camera",), vectors(without_camera), NO_MOTION),
-    "unwritten": Corruption("camera", ("motion.unwritten",), vectors(unwritten), NO_MOTION),
-    "averaged": Corruption("edges", ("motion.averaged",), vectors(averaged)),
-    "dilated": Corruption("edges", ("motion.dilated",), vectors(dilated)),
+    "no camera": Corruption("camera", ("motion.camera", "motion.empty"), vectors(without_camera), NO_MOTION),
+    "unwritten": Corruption("camera", ("motion.unwritten", "motion.empty"), vectors(unwritten), NO_MOTION),
+    "averaged": Corruption("edges", ("motion.averaged",), vectors(averaged), ("motion.edges",)),
+    "dilated": Corruption("edges", ("motion.dilated",), vectors(dilated), ("motion.edges",)),
     "half floats": Corruption(
         "grain", ("motion.half",), vectors(lambda v, *_: v.astype(np.float16).astype(np.float32))
     ),

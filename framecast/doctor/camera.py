@@ -5,13 +5,10 @@ from typing import Literal
 
 import numpy as np
 
-from framecast.doctor.motion import Scene, at_points, resampled
-from framecast.doctor.probe import POINTS, Pair, fit_shift, misfit, pair_of, pick_points, sample, thinned, votes
+from framecast.doctor.motion import EMPTY_SHARE, Scene, at_points, blank, resampled
+from framecast.doctor.probe import POINTS, Pair, fit_shift, misfit, pair_of, pick_points, sample, votes
 from framecast.doctor.take import Take
 from framecast.frame import SKY
-
-EMPTY_SHARE = 0.02
-"""Share of the picture that has to be without vectors for a verdict."""
 
 
 @dataclass(frozen=True)
@@ -40,19 +37,6 @@ class Blanks:
         return self.votes >= 4 and self.still > (1.04 if self.depth else 1.18) * self.moved
 
 
-def blank(stored: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels `h w` that hold exactly the most usual number of each channel, and those; none where they are rare."""
-    some = thinned(stored.shape[1])
-    code = np.array([_usual(plane[some, some]) for plane in stored])
-    same: np.ndarray = (stored == code[:, None, None]).all(0)
-    return (same if same.mean() >= EMPTY_SHARE else np.zeros_like(same)), code
-
-
-def _usual(plane: np.ndarray) -> float:
-    values, counts = np.unique(plane, return_counts=True)
-    return float(values[np.argmax(counts)])
-
-
 def blanks_of(take: Take, scene: Scene) -> Blanks | None:
     """What becomes of pixels without vectors; None where there are too few of them, or too little texture on them."""
     still, moved, blocks, fields, shares, surfaces = [], [], [], [], [], []
@@ -65,13 +49,17 @@ def blanks_of(take: Take, scene: Scene) -> Blanks | None:
         surfaces.append(solid.mean())
         image = take.images[before.here].astype(np.float32)
         points = pick_points(image, solid if solid.mean() > EMPTY_SHARE else empty, POINTS // 2, k)
-        if len(points) < 200:
-            continue
-        pair = between(take, before.here, before.there, points)
-        depth, first = (distance_of(take, pair, points) if first else depth), False
-        field = camera_motion(take, pair, points, depth)
+        few = len(points) < 200
+        pair = between(take, before.here, before.there, scene.points[k] if few else points)
+        if not few and first:
+            depth, first = distance_of(take, pair, points), False
         after = scene.after[k]
-        onward = after and between(take, after.here, after.there, points)
+        onward = after and between(take, after.here, after.there, scene.points[k] if few else points)
+        forth = camera_motion(take, onward, scene.points[k], depth) if onward else None
+        fields.append((camera_motion(take, pair, scene.points[k], depth), forth))
+        if few:
+            continue
+        field = camera_motion(take, pair, points, depth)
         zero = np.zeros_like(pair.x)
         shift = fit_shift(pair, zero, zero)
         rest = fit_shift(pair, field[0], field[1])
@@ -79,18 +67,15 @@ def blanks_of(take: Take, scene: Scene) -> Blanks | None:
         still.append(misfit(pair, zero + shift[0], zero + shift[1])[apart])
         moved.append(misfit(pair, field[0] + rest[0], field[1] + rest[1])[apart])
         blocks.append((pair.block + k * 100)[apart])
-        everywhere = [camera_motion(take, p, scene.points[k], depth) if p else None for p in (pair, onward)]
-        fields.append((everywhere[0], everywhere[1]))
     if len(still) < max(1, len(scene.pairs) // 2):
         return None
     a, b = np.concatenate(still), np.concatenate(moved)
     if len(a) < 200:
         return None
     sure = votes(b, a, np.concatenate(blocks))
-    complete = tuple(fields) if len(fields) == len(scene.pairs) else ()
     return Blanks(
-        float(np.mean(shares)), float(np.mean(surfaces)), float(a.mean()), float(b.mean()), float(sure), code, complete,
-        depth,
+        float(np.mean(shares)), float(np.mean(surfaces)), float(a.mean()), float(b.mean()), float(sure), code,
+        tuple(fields), depth,
     )  # fmt: skip
 
 

@@ -10,8 +10,10 @@ from framecast.doctor.motion import resampled
 from framecast.doctor.probe import thinned
 from framecast.doctor.take import Take
 
-JUMP = 1.0
-"""Pixels by which vectors have to differ across a silhouette that is looked at."""
+JUMP = 0.25
+"""Pixels by which vectors have to differ across a silhouette that is looked at; at least `STEPS` times their grain."""
+
+STEPS = 20
 
 
 @dataclass(frozen=True)
@@ -25,12 +27,14 @@ class Edges:
     """Share of pixels at silhouettes whose vector lies between both sides' vectors."""
 
 
-def edges_of(vectors: Mapping[int, np.ndarray], depths: Mapping[int, np.ndarray]) -> Edges:
+def edges_of(vectors: Mapping[int, np.ndarray], depths: Mapping[int, np.ndarray], grain: float = 0.0) -> Edges:
     """Silhouettes along rows and columns, four pixels on either side of which all is smooth.
 
     Args:
         vectors: by frame, `2 h w` pixels. depths: distance `h w`, or anything that grows with it.
+        grain: steps in which vectors are stored, pixels.
     """
+    least = max(JUMP, STEPS * grain)
     carried, between = [], []
     for t in vectors.keys() & depths.keys():
         for flip in (False, True):
@@ -39,7 +43,7 @@ def edges_of(vectors: Mapping[int, np.ndarray], depths: Mapping[int, np.ndarray]
                 z, v = (z.T, v.transpose(0, 2, 1)) if turn else (z, v)
                 z, v = (z[:, ::-1], v[:, :, ::-1]) if flip else (z, v)
                 some = thinned(len(z))
-                a, b = across(z[some], v[:, some])
+                a, b = across(z[some], v[:, some], least)
                 carried.append(a)
                 between.append(b)
     a = np.concatenate(carried) if carried else np.zeros(0, bool)
@@ -47,9 +51,10 @@ def edges_of(vectors: Mapping[int, np.ndarray], depths: Mapping[int, np.ndarray]
     return Edges(len(a), float(a.mean()) if len(a) else 0.0, float(b.mean()) if len(b) else 0.0)
 
 
-def across(z: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """At places where near pixels are followed by far ones along a row: does the first far pixel carry the vector of
-    the near side, and does the vector of one of the two at the edge lie between both sides?"""
+def across(z: np.ndarray, v: np.ndarray, least: float) -> tuple[np.ndarray, np.ndarray]:
+    """At places where near pixels are followed by far ones along a row, and vectors differ by `least` pixels: does the
+    first far pixel carry the vector of the near side, and does the vector of one of the two at the edge lie between
+    both sides?"""
     columns = {k: slice(4 + k, z.shape[1] - 5 + k) for k in range(-4, 6)}
     d = {k: z[:, s] for k, s in columns.items()}
     m = {k: v[:, :, s] for k, s in columns.items()}
@@ -57,7 +62,7 @@ def across(z: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     near, far = m[-3], m[4]
     jump = np.abs(near - far).max(0)
     calm = (np.abs(m[-3] - m[-4]).max(0) < 0.1 * jump) & (np.abs(m[5] - m[4]).max(0) < 0.1 * jump)
-    use = edge & calm & (jump > JUMP)
+    use = edge & calm & (jump > least)
     if not use.any():
         return np.zeros(0, bool), np.zeros(0, bool)
     axis = (near - far)[:, use]

@@ -220,7 +220,8 @@ def _surfaces(
         packed = settings.motion.packing in ("base255", "base256")
         grain = grain_of(take, float(np.abs(units).max()), 32 if packed else source.bits["motion"])
         blender = source.kind == "blender" or "Blender" in str(_provenance(source))
-        findings += tell_edges(edges_of({t: f for t, f in fields.items() if t in near}, near), grain, blender)
+        edges = edges_of({t: f for t, f in fields.items() if t in near}, near, grain.pixels)
+        findings += tell_edges(edges, grain, blender)
     return settings, findings
 
 

@@ -33,6 +33,9 @@ PAIRS = 8
 
 UNREAL_BIAS, UNREAL_SCALE = 32767 / 65535, 1 / 0.2495
 
+EMPTY_SHARE = 0.02
+"""Share of the picture that has to be without vectors for a verdict."""
+
 FACTORS = (1.0, 0.5, 2.0, 0.25, 4.0)
 """Lengths of vectors in pixels that are tried: half and double are other resolutions, or the half that NDC loses."""
 
@@ -135,7 +138,7 @@ def resting(stored: np.ndarray) -> tuple[float, float]:
 
 def scene_of(take: Take, name: str = "motion", *, written: bool = False) -> Scene | None:
     """Points of up to `PAIRS` pairs spread over the take: half where the vectors differ from the usual one, half
-    anywhere with texture (`written`: none where they do not differ at all). None where no pair has texture."""
+    anywhere with texture (`written`: all where vectors are written at all). None where no pair has texture."""
     spread = [t for t in take.pairs if name in take.stored[t]]
     if len(spread) > PAIRS:
         spread = [spread[round(i * (len(spread) - 1) / (PAIRS - 1))] for i in range(PAIRS)]
@@ -145,7 +148,7 @@ def scene_of(take: Take, name: str = "motion", *, written: bool = False) -> Scen
         stored = take.stored[t][name]
         own = (stored.shape[1], stored.shape[2])
         image = take.images[t].astype(np.float32)
-        lively = restless(stored, take.size)
+        lively = ~resampled(blank(stored)[0], take.size) if written else restless(stored, take.size)
         anywhere = lively if written else np.ones_like(lively)
         points = np.union1d(
             pick_points(image, lively, POINTS // 2, t), pick_points(image, anywhere, POINTS // 2, t + 1)
@@ -161,6 +164,19 @@ def scene_of(take: Take, name: str = "motion", *, written: bool = False) -> Scen
         moving.append(lively.flat[points])
         every.append(points)
     return Scene(tuple(pairs), tuple(after), tuple(moving), tuple(every), take.size, own) if pairs else None
+
+
+def blank(stored: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels `h w` that hold exactly the most usual number of each channel, and those; none where they are rare."""
+    some = thinned(stored.shape[1])
+    code = np.array([_usual(plane[some, some]) for plane in stored])
+    same: np.ndarray = (stored == code[:, None, None]).all(0)
+    return (same if same.mean() >= EMPTY_SHARE else np.zeros_like(same)), code
+
+
+def _usual(plane: np.ndarray) -> float:
+    values, counts = np.unique(plane, return_counts=True)
+    return float(values[np.argmax(counts)])
 
 
 def restless(stored: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -65,9 +65,9 @@ def tell_jitter(
             f"from phase {start} on{_signed(match)} ({match.explained:.0%} explained)"
         )
         return [Finding("jitter.unrecorded", "fix", words)], _sequence(shake.sequence, match), False
-    if shake.size < UNEXPLAINED:
+    if shake.usual < UNEXPLAINED:
         words = (
-            f"jitter: none that can be told; the picture moves by {shake.size:.2f} pixels more than the vectors say, "
+            f"jitter: none that can be told; the picture moves by {shake.usual:.2f} pixels more than the vectors say, "
             "which is less than jitter does"
         )
         return [Finding("jitter", "note", words)], claim, False

@@ -136,7 +136,7 @@ def tell_color(tone: Tone | None, claim: Color, bits: int) -> tuple[list[Finding
         return [], claim
     if claim.encoding == "srgb":
         return _claimed_display(tone, claim, bits)
-    if tone.slope is not None and tone.slope < 0.53:
+    if tone.slope is not None and tone.slope < (0.53 if tone.peak < 1.02 else 0.45):
         says = (
             "colour is encoded for a display, not linear: where only albedo jumps, colour changes "
             f"{tone.slope:.2f} times as much "
@@ -244,14 +244,20 @@ def tell_time(take: Take, steps: Sequence[Step], empty: Sequence[int]) -> tuple[
 def tell_edges(edges: Edges, grain: Grain, blender: bool) -> list[Finding]:
     """Dilated, averaged and coarsely stored vectors."""
     out = []
-    if edges.count >= 60 and edges.dilated > 0.5:
+    if edges.count < 60:
+        says = (
+            "whether vectors are dilated or averaged at silhouettes cannot be told: there are hardly any across which "
+            "they jump; record things that pass in front of others"
+        )
+        out.append(Finding("motion.edges", "unknown", says))
+    elif edges.dilated > 0.5:
         says = (
             f"vectors are dilated: in {edges.dilated:.0%} of {edges.count} silhouettes the "
             "background's first pixel carries the vector of the object; "
             f"export them undilated"
         )
         out.append(Finding("motion.dilated", "fix", says))
-    elif edges.count >= 60 and edges.mixed > 0.7:
+    elif edges.mixed > 0.7:
         why = "by the pixel filter, as Blender does"
         says = (
             f"vectors are averaged: in {edges.mixed:.0%} of {edges.count} silhouettes there are vectors between "
