@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from torch import nn
 
-from framecast.methods import classifier, extranet, extrass, fasset, mnss, nsrr, refine
+from framecast.methods import classifier, extranet, extrass, fasset, ifrnet, mnss, nsrr, refine
 from framecast.methods.blend import Blend
 from framecast.methods.bsr import BSR
 from framecast.methods.classifier import Classifier
@@ -24,6 +24,7 @@ from framecast.methods.filters import Bilinear, Lanczos
 from framecast.methods.fsr2 import FSR2
 from framecast.methods.guided import GuidedWarp
 from framecast.methods.hold import Hold
+from framecast.methods.ifrnet import IFRNet
 from framecast.methods.mnss import MNSS
 from framecast.methods.mobfgsr import Config as MobFGSRConfig
 from framecast.methods.mobfgsr import MobFGSR
@@ -73,6 +74,7 @@ TRAINABLE: dict[str, tuple[Callable[[], nn.Module], Recipe]] = {
     "fasset-without-mask": (lambda: FASSET(replace(fasset.BETTER, mask=False)), fasset.recipe),
     "fasset-without-sharing": (lambda: FASSET(replace(fasset.BETTER, shared=False)), fasset.recipe),
     "fasset-without-offset": (lambda: FASSET(replace(fasset.BETTER, offset=False)), fasset.recipe),
+    "ifrnet": (IFRNet, ifrnet.recipe),
     "nsrr": (lambda: NSRR(nsrr.STEADY), nsrr.steady_recipe),
     "nsrr-five-frames": (lambda: NSRR(nsrr.FAST), nsrr.recipe),
     "mnss": (MNSS, mnss.recipe),
