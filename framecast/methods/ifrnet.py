@@ -7,8 +7,8 @@ Follows: one encoder for both frames; decoders from coarse to fine that refine a
          that mixes both warped frames, and a residual; Charbonnier and census loss.
 Differs: Three sizes in place of four, and fewer channels than in its smallest variant: 0.4 million parameters. It
          stands for what is done without a renderer's vectors and buffers, not for the best that is done so.
-         Where both frames agree, nothing moves and nothing is added. The mask starts from the time: untrained, the network
-         blends. Colour is x / (1 + max) under the sRGB curve.
+         Where both frames agree, nothing moves and nothing is added. The mask starts from the time: untrained, it
+         blends. Colour is x / (1 + max) under the sRGB curve. The census loss counts a tenth.
          No distillation of flow, which needs another trained network, and no loss between features.
 Needs:   color
 Modes:   interpolate
@@ -35,6 +35,9 @@ CHANGE = 0.02
 
 AROUND = 17
 """Pixels, in a square, one of which has to differ."""
+
+CENSUS = 0.1
+"""Weight of the census loss, which is ten times the other."""
 
 SHARPEST = 0.99
 """Largest share of one frame that the time alone gives."""
@@ -172,7 +175,7 @@ def loss(method: IFRNet, frames: Sequence[Frame], targets: Float[Tensor, "b n 3 
     first, second, between = frames
     state = advance(second, method.start(first), method.needs)
     image, truth = method.image(state, state.position(between.time)), encoded(targets[:, -1])
-    return {"charbonnier": ((image - truth).square() + 1e-6).sqrt().mean(), "census": census(image, truth)}
+    return {"charbonnier": ((image - truth).square() + 1e-6).sqrt().mean(), "census": CENSUS * census(image, truth)}
 
 
 def census(image: Float[Tensor, "b 3 h w"], truth: Float[Tensor, "b 3 h w"]) -> Float[Tensor, ""]:
