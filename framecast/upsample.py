@@ -11,9 +11,9 @@ import json
 import shutil
 import statistics
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -99,8 +99,9 @@ def upsample(
     method = method_named(job.method, job.scale)
     if job.mode != "pass":
         require_mode(job.method, method, job.mode)
-        _require_nothing_between(job.method, method.needs_generated)
     require(clip, job.method, method)
+    if job.mode != "pass" and method.needs_generated:
+        job = _as_recorded(clip, job, method.needs_generated)
     if debug is not None:
         _require_classes(job, method)
     folder = out.with_name(f".{out.name}.frames") if job.format == "mp4" else out
@@ -128,14 +129,22 @@ def upsample(
     return Made(out, plan.total, plan.shaded, plan.fps, done, typical, wait, (height, width))
 
 
-def _require_nothing_between(name: str, needs: Sequence[str]) -> None:
-    """Refuses a method that reads buffers of the very frames that no renderer has made."""
-    if needs:
+def _as_recorded(clip: Clip, job: Job, needs: Sequence[str]) -> Job:
+    """The job for a method that reads buffers of the frames that it makes: they lie in the clip, without colour, and
+    all frames are passed on as they were recorded. Refused where there are none, or not as many as asked for."""
+    shaded = [index for index, record in enumerate(clip.shown) if "color" in clip.load(record)]
+    gaps = {after - before for before, after in pairwise(shaded)} or {len(clip)}
+    if shaded[:1] == [0] and gaps == {job.rate}:
+        return replace(job, mode="pass")
+    wants = f"{job.method} needs {' and '.join(needs)} of each frame that it makes"
+    if gaps == {1}:
         raise ValueError(
-            f"{name} needs {' and '.join(needs)} of each frame that it makes, and between the frames of a clip "
-            f"nothing was rendered; use --method mobfgsr, or record those frames without colour and "
-            f"pass them with --mode pass"
+            f"{wants}, and between the frames of a clip nothing was rendered; use --method mobfgsr, or record those "
+            f"frames, too, without colour"
         )
+    if shaded[:1] == [0] and len(gaps) == 1:
+        raise ClipError(f"{wants}, and {clip.path} has one shaded frame in {(gap := gaps.pop())}; use --fps {gap}")
+    raise ClipError(f"{wants}, and shaded frames of {clip.path} are not evenly spaced; pass it as it is: --mode pass")
 
 
 def _require_classes(job: Job, method: object) -> None:
