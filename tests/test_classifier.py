@@ -1,5 +1,6 @@
 """Classifier-guided supersampling: published sizes, buffers with known values, counters, classes, losses, samples."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,18 +24,26 @@ from framecast.frame import Frame, concatenate
 from framecast.labels import labels, likeliest
 from framecast.methods import TRAINABLE
 from framecast.methods.classifier import (
+    FIRST,
+    KEEP,
+    RANGE,
+    TAP,
     Classifier,
     Config,
+    Mixed,
     Network,
-    State,
+    displayed,
     errors,
+    kept,
     likelihoods,
-    look,
     loss,
     loss_with_true_labels,
+    mix,
     one_hot,
     recipe,
+    slopes,
 )
+from framecast.methods.classifier_buffers import BLUR, Seen, State, look
 from framecast.nets import multiply_accumulates, parameters
 
 TINY = Config(widths=(8, 16, 32, 64), inner=8)
@@ -57,9 +66,10 @@ def classes(ghosting: int = 2, aliasing: int = 2, batch: int = 1) -> Tensor:
 
 
 def remembered(frame: Frame, **changes: Any) -> State:
-    """A state in which there is a history."""
+    """A state in which there is a history worth eight samples."""
     state = Classifier(TINY).start(frame)
-    return replace(state, known=torch.ones_like(frame.reset), time=frame.time - 1, **changes)
+    about = {"known": torch.ones_like(frame.reset), "time": frame.time - 1, "worth": torch.full_like(state.worth, 8.0)}
+    return replace(state, **{**about, **changes})
 
 
 # The networks.
@@ -67,34 +77,35 @@ def remembered(frame: Frame, **changes: Any) -> State:
 
 def test_all_scales_together_make_32_channels() -> None:
     """Halves of 32, 64 and 128 channels and all of 256, spread over 1, 4, 16 and 64 pixels: 16 + 8 + 4 + 4."""
-    network = Network(12, (32, 64, 128, 256))
+    network = Network(12, (32, 64, 128, 256), 3)
     assert network.joined(torch.rand(1, 12, 16, 24)).shape == (1, 32, 16, 24)
-    assert network(torch.rand(1, 12, 16, 24)).shape == (1, 6, 16, 24)
+    assert network(torch.rand(1, 12, 16, 24)).shape == (1, 6 + 3, 16, 24)
 
 
 def test_sizes_are_those_of_the_layers() -> None:
     method = Classifier().eval()
     scales = [(92, 32), (16, 64), (32, 128), (64, 256)]
     blocks = [(a * b, 9 * b, b * b) for a, b in scales]
-    decoder = 3 * 32 * 32 + 32 * 6
-    weights = sum(map(sum, blocks)) + decoder + 19 * 64 + 64
-    biases = sum(3 * b for _, b in scales) + 3 * 32 + 6 + 64 + 1
-    norms = 2 * (sum(2 * b for _, b in scales) + 3 * 32 + 6)
-    assert parameters(method) == weights + biases + norms == 124_083
+    decoder = 3 * 32 * 32 + 32 * (6 + 8)
+    mixing = (19 + 2 + 6 + 8) * 64 + 64 * 12
+    weights = sum(map(sum, blocks)) + decoder + mixing
+    biases = sum(3 * b for _, b in scales) + 3 * 32 + 14 + 64 + 12
+    norms = 2 * (sum(2 * b for _, b in scales) + 3 * 32 + 14)
+    assert parameters(method) == weights + biases + norms == 126_102
     frame = shot(0, 2.0, size=(16, 16))
     state = method.start(frame)
     half = sum(sum(block) / 4**k for k, block in enumerate(blocks)) + decoder
-    assert multiply_accumulates(method, lambda: method(frame, state)) == 32 * 32 * (half / 4 + 20 * 64)
+    assert multiply_accumulates(method, lambda: method(frame, state)) == 32 * 32 * (half / 4 + mixing)
 
 
 def test_coarse_scales_see_far_and_the_mixing_network_one_pixel() -> None:
     method = tiny()
-    x = torch.rand(1, 12 + 7, 8, 8)
+    x = torch.rand(1, 19 + 2 + 6 + 8, 8, 8)
     y = x.clone()
     y[..., 3, 5] += 1
     changed = (method.mix(x) != method.mix(y))[0, 0].nonzero()
     assert changed.tolist() == [[3, 5]]
-    network = Network(8, (32, 64, 128, 256)).eval()
+    network = Network(8, (32, 64, 128, 256), 0).eval()
     a = torch.rand(1, 8, 16, 16)
     b = a.clone()
     b[..., :4, :4] += 20 * torch.randn(1, 8, 4, 4)
@@ -115,7 +126,8 @@ def test_the_last_image_lands_on_the_frame(speed: float) -> None:
     right = tonemap(truth(4, 2.0, gradient, speed=speed))
     inner = (..., slice(6, -6), slice(6, -6))
     torch.testing.assert_close(seen.history[inner], right[inner], atol=1e-4, rtol=0)
-    torch.testing.assert_close(seen.current[inner], right[inner], atol=1e-3, rtol=0)
+    for current in (seen.sharp, seen.smooth):
+        torch.testing.assert_close(current[inner], right[inner], atol=1e-3, rtol=0)
     assert bool(seen.valid[inner].all())
 
 
@@ -168,7 +180,7 @@ def test_the_counter_counts_frames_until_history_fails() -> None:
         for t, frame in enumerate(frames):
             made = method.make(frame, state, hidden if t == 3 else classes(1))
             found.append((float(made.counter[0, 0, 0, 0]), float(made.counter[0, 0, 7, 9])))
-            state = replace(state, image=made.image, counter=made.counter, known=torch.tensor([True]), time=frame.time)
+            state = kept(made, frame)
     assert found == [(0, 0), (1, 1), (2, 2), (3, 0), (4, 1)]
 
 
@@ -183,15 +195,107 @@ def test_the_counter_moves_with_the_picture_and_starts_off_the_screen() -> None:
 # Mixing.
 
 
-def test_the_image_lies_between_frame_and_history() -> None:
-    method = tiny()
+def mixed(
+    seen: Seen,
+    trust: float = 99,
+    fresh: float = 0,
+    bound: float = -99,
+    sharp: float = -99,
+    taps: float = 0,
+    hidden: float = 0,
+) -> Mixed:
+    """What the network that mixes makes if it says the same of all pixels; by default to change nothing."""
+    raw = torch.tensor([trust, fresh, bound, sharp, *[taps] * 8]).float()[:, None, None].expand(1, 12, *SIZE)
+    return mix(seen, raw, torch.full((1, 1, *SIZE), float(hidden)))
+
+
+def test_frame_and_history_weigh_what_they_are_worth() -> None:
     frame = shot(1, 2.0)
+    state = remembered(frame, image=torch.rand(1, 3, *SIZE), worth=torch.full((1, 1, *SIZE), 3.0))
+    seen = look(frame, state, 2.0)
+    for trust, fresh in ((1.0, 1.0), (0.5, 1.0), (0.25, 4.0)):
+        old, new = 3 * trust, seen.confidence * fresh
+        logit = 99 if trust == 1 else math.log(trust / (1 - trust))
+        found = mixed(seen, logit, math.atanh(math.log(fresh) / RANGE))
+        expected = (old * seen.history + new * seen.smooth) / (old + new)
+        torch.testing.assert_close(found.kept, expected, atol=1e-5, rtol=0)
+        torch.testing.assert_close(found.worth, old + new, atol=1e-5, rtol=1e-5)
+
+
+def test_what_is_surely_hidden_is_worth_next_to_nothing() -> None:
+    frame = shot(1, 2.0)
+    seen = look(frame, remembered(frame, image=torch.rand(1, 3, *SIZE)), 2.0)
+    before, after = (mixed(seen, KEEP, hidden=h).worth - seen.confidence for h in (0.0, 1.0))
+    assert bool((before > 0.98 * 8 - 1e-3).all())
+    assert bool((after < 0.02 * 8).all())
+
+
+def test_unchanged_a_still_image_is_the_mean_of_its_samples() -> None:
+    method, frames = tiny(), [shot(t, 2.0) for t in range(5)]
+    for p in method.mix.parameters():
+        torch.nn.init.zeros_(p)
     with torch.no_grad():
-        made = method.make(frame, remembered(frame, image=torch.rand(1, 3, *SIZE)))
-    low, high = (f(made.seen.current, made.seen.history) for f in (torch.minimum, torch.maximum))
-    assert bool(((made.image >= low - 1e-6) & (made.image <= high + 1e-6)).all())
-    assert float((made.image - made.seen.current).abs().mean()) > 0.05
-    assert float((made.image - made.seen.history).abs().mean()) > 0.005
+        method.mix[2].bias.copy_(torch.tensor([99.0, 0.0, -99.0, -99.0, *[0.0] * 8]))
+        state, total, weights = method.start(frames[0]), torch.zeros(1, 3, *SIZE), torch.zeros(1, 1, *SIZE)
+        for frame in frames:
+            made = method.make(frame, state, classes())
+            weight = made.seen.confidence
+            if frame is frames[0]:
+                weight = weight.clamp(min=FIRST)
+            total, weights = total + weight * made.seen.smooth, weights + weight
+            state = kept(made, frame)
+    torch.testing.assert_close(state.image, total / weights, atol=1e-5, rtol=0)
+    assert float((state.worth - weights).abs().max()) < 1e-4
+    assert torch.equal(made.mixed.image, state.image)
+
+
+def test_reading_between_pixels_takes_worth_away() -> None:
+    frames = [shot(1, 2.0, speed=speed) for speed in (0.0, 0.25, 0.5)]  # half a display pixel, and a whole one
+    found = [look(frame, remembered(frame), 2.0).worth[0, 0, 20, 20] for frame in frames]
+    assert [float(each) for each in found] == pytest.approx([8, 8 * (1 - BLUR / 2), 8], rel=1e-3)
+
+
+def test_history_can_be_kept_within_the_colours_of_the_frame() -> None:
+    frame = shot(1, 2.0)
+    seen = look(frame, remembered(frame, image=torch.ones(1, 3, *SIZE), worth=torch.full((1, 1, *SIZE), 64.0)), 2.0)
+    free, bound = (mixed(seen, bound=b).kept for b in (-99, 99))
+    most = tonemap(frame.color).amax()  # type: ignore[arg-type]
+    assert float(free.mean()) > 0.95
+    assert float(bound.max()) <= float(most) + 1e-6
+
+
+def test_sharpness_is_between_cubic_and_linear() -> None:
+    frame = shot(1, 2.0)
+    seen = look(frame, Classifier(TINY).start(frame), 2.0)
+    assert bool((seen.sharp != seen.smooth).any())
+    assert torch.equal(mixed(seen, sharp=-99).kept, seen.smooth)
+    torch.testing.assert_close(mixed(seen, sharp=99).kept, seen.sharp)
+
+
+def test_the_image_is_sharpened_or_smoothed_and_what_is_kept_is_not() -> None:
+    frame = shot(1, 2.0)
+    seen = look(frame, remembered(frame, image=torch.rand(1, 3, *SIZE) * 0.2 + 0.4), 2.0)
+    plain, smooth, sharp = (mixed(seen, taps=math.atanh(t / TAP)) for t in (0, 1 / 9, -1 / 9))
+    assert torch.equal(plain.image, plain.kept)
+    assert torch.equal(smooth.kept, plain.kept)
+    inner = (..., slice(1, -1), slice(1, -1))
+    mean = torch.nn.functional.avg_pool2d(plain.kept, 3, 1, 1)
+    torch.testing.assert_close(smooth.image[inner], mean[inner], atol=1e-5, rtol=0)
+    torch.testing.assert_close((sharp.image + smooth.image)[inner], 2 * plain.kept[inner], atol=1e-5, rtol=0)
+
+
+def test_whatever_the_network_says_a_constant_stays_what_it_is() -> None:
+    method = tiny()
+    torch.nn.init.normal_(method.mix[2].weight)
+    for image in played(method, [shot(t, 2.0, lambda x, y: torch.full_like(x, 0.3), speed=0.4) for t in range(4)]):
+        torch.testing.assert_close(image, torch.full_like(image, 0.3), atol=1e-5, rtol=0)
+
+
+def test_slopes_are_differences_of_brightness() -> None:
+    x, y = torch.arange(6.0).expand(5, 6), torch.arange(5.0)[:, None].expand(5, 6)
+    found = slopes((0.1 * x + 0.03 * y).expand(1, 3, 5, 6))[0, :, 1:-1, 1:-1]
+    torch.testing.assert_close(found[0], torch.full_like(found[0], 0.2))
+    torch.testing.assert_close(found[1], torch.full_like(found[1], 0.06))
 
 
 def test_true_classes_take_the_place_of_the_networks() -> None:
@@ -200,7 +304,7 @@ def test_true_classes_take_the_place_of_the_networks() -> None:
     with torch.no_grad():
         hidden, fine, own = (method.make(frame, state, t) for t in (classes(0, 1), classes(), None))
     assert torch.equal(hidden.classes[0, :, 4, 4], torch.tensor([1.0, 0, 0, 0, 1, 0]))
-    assert bool((hidden.image != fine.image).any())
+    assert bool((hidden.mixed.image != fine.mixed.image).any())
     assert torch.equal(hidden.logits, own.logits)
     torch.testing.assert_close(own.classes.unflatten(1, (2, 3)).sum(2), torch.ones(1, 2, *SIZE))
     assert torch.equal(own.classes, likelihoods(own.logits))
@@ -209,12 +313,12 @@ def test_true_classes_take_the_place_of_the_networks() -> None:
 @pytest.mark.parametrize("name", ["counter", "carried", "range"])
 def test_an_ablation_does_not_see_what_it_leaves_out(name: str) -> None:
     frame = shot(1, 2.0)
-    memory = {"counter": "counter", "carried": "classes", "range": "range"}[name]
+    memory = {"counter": ("counter", "worth"), "carried": ("classes",), "range": ("range",)}[name]
     plain = remembered(frame, image=torch.rand(1, 3, *SIZE))
-    other = replace(plain, **{memory: torch.rand_like(getattr(plain, memory)) * 3})
+    other = replace(plain, **{each: torch.rand_like(getattr(plain, each)) * 3 for each in memory})
     with torch.no_grad():
         seen, blind = (
-            bool((method.make(frame, plain).image != method.make(frame, other).image).any())
+            bool((method.make(frame, plain).mixed.image != method.make(frame, other).mixed.image).any())
             for method in (tiny(), tiny(replace(TINY, **{name: False})))
         )
     assert seen
@@ -227,7 +331,7 @@ def test_without_a_classifier_nothing_is_classified() -> None:
     state = state_after(method, frames)
     torch.testing.assert_close(state.classes, torch.full_like(state.classes, 1 / 3))
     assert bool((state.counter == 2).all())
-    assert parameters(method) == 13 * 8 + 8 + 8 + 1
+    assert parameters(method) == (19 + 2) * 8 + 8 + 8 * 12 + 12
 
 
 # The call.
@@ -295,7 +399,7 @@ def test_gradients_reach_every_layer_and_losses_are_numbers_in_half_the_bits(con
     method, frames = tiny(config).train(), [shot(t, 2.0) for t in range(3)]
     with torch.autocast("cpu", torch.bfloat16):
         terms = loss(method, frames, targets(2, ghosting=1, aliasing=0))
-    named = {"l1", "temporal"} | ({"ghosting", "aliasing"} if config.classifier else set())
+    named = {"image", "temporal"} | ({"ghosting", "aliasing"} if config.classifier else set())
     assert set(terms) == named
     torch.stack(list(terms.values())).sum().backward()
     for name, p in method.named_parameters():
@@ -313,11 +417,10 @@ def test_the_loss_of_true_labels_is_made_with_them() -> None:
         state, total = method.start(frames[0]), []
         for frame, target in zip(frames, (None, *truth_of_both.unbind(1)), strict=True):
             made = method.make(frame, state, None if target is None else target[:, 3:])
-            kept = {"image": made.image, "depth": made.seen.depth, "counter": made.counter, "classes": made.classes}
-            state = replace(state, **kept, range=made.seen.range_now, known=torch.tensor([True]), time=frame.time)
+            state = kept(made, frame)
             total += [] if target is None else [errors(made, target, None)]
-    assert float(own["l1"]) != float(given["l1"])
-    for name in ("l1", "ghosting", "aliasing"):
+    assert float(own["image"]) != float(given["image"])
+    for name in ("image", "ghosting", "aliasing"):
         assert float(given[name]) == pytest.approx(sum(float(each[name]) for each in total) / 2, rel=1e-4)
 
 
@@ -329,16 +432,22 @@ def test_errors_are_least_where_colour_and_classes_are_right() -> None:
         made = method.make(frame, remembered(frame, image=tonemap(right)))
         target = torch.cat((right, classes(1, 0)), 1)
         sure = 30 * torch.cat([one_hot(target[:, k]) for k in (3, 4)], 1)
-        perfect = replace(made, image=tonemap(right), logits=sure)
-        found = errors(perfect, target, tonemap(right))
-        wrong = errors(replace(perfect, logits=sure.flip(1), image=0.5 * tonemap(right)), target, tonemap(right))
-        held = errors(replace(perfect, image=0.5 * tonemap(right)), torch.cat((right, classes()), 1), tonemap(right))
-    assert all(float(term) == pytest.approx(0, abs=1e-4) for term in found.values())
+        perfect = replace(made, mixed=replace(made.mixed, image=tonemap(right)), logits=sure)
+        dark = replace(made.mixed, image=0.5 * tonemap(right))
+        before = displayed(perfect, target)
+        found = errors(perfect, target, before)
+        wrong = errors(replace(perfect, logits=sure.flip(1), mixed=dark), target, before)
+        held = errors(replace(perfect, mixed=dark), torch.cat((right, classes()), 1), before)
+        both = displayed(replace(perfect, mixed=dark), target)
+        again = errors(replace(perfect, mixed=dark), torch.cat((right, classes()), 1), both)
+    assert all(float(term) == pytest.approx(0, abs=6e-3) for term in found.values())
     assert float(wrong["ghosting"]) > 1
     assert float(wrong["aliasing"]) > 1
-    assert float(wrong["l1"]) > 0.5
+    root = (both[:, :3] - both[:, 3:]).square().mean().sqrt()
+    assert float(wrong["image"]) == pytest.approx(5 * float(root), rel=1e-3)
     assert float(wrong["temporal"]) == 0  # history does not hold where light changed
     assert float(held["temporal"]) > 0.1
+    assert float(again["temporal"]) == pytest.approx(0, abs=1e-4)  # as wrong as the image before: no flicker
 
 
 @pytest.fixture

@@ -6,59 +6,70 @@ Follows: buffers at display size: the frame enlarged by cubics from its jittered
          nearest surface in 3 x 3, frames since history failed, the last frame's range of colours, difference of
          reversed depths, the last classes. At half that size four scales of bottlenecks with 32, 64, 128 and 256
          channels, joined by depth-to-space to 32, three pixel-wise layers, two choices of three classes. A pixel-wise
-         network of 64 gives the frame's weight against the history. Trained on `framecast.labels`.
+         network of 64 channels weighs the frame against the history. Trained on `framecast.labels`.
 Differs: Half of the features of a scale go on to the next; at the coarsest all are joined, or the sum were 30, not 32.
          Inside of a bottleneck, and in the decoder, as many channels as it makes; the supplement gives no others.
          What is carried and warped are likelihoods, which are bounded, and 1/3 each where nothing is known.
          One frame has one sample a pixel, so that the range of colours is that of 3 x 3 samples.
-         The pixel-wise network sees likelihoods, frame, history and their difference, 1 / (1 + counter), difference of
-         depths, confidence in the nearest sample, and by how much reading between pixels blurred the history. The
-         supplement does not say; the last two are what an exact average of samples would ask for.
-         Colour is x / (1 + max), for networks under the sRGB curve. The frame stays within the values of a tone map.
-         Losses are not published. Here: 5 L1; L1 of the change from frame to frame where history holds; cross-entropy
+         The weight of the frame is not made from nothing. An image is worth the samples that it is the mean of, as in
+         TAAU, each by its distance to the centre of the pixel; the network says how far history is still worth that,
+         and how much more or less the frame is. Untrained, it accumulates as TAAU does. Where history surely shows what
+         hid the surface, it is worth nothing, whatever the network says.
+         The network also says how far history has to lie within the colours of the 3 x 3 samples, how sharp the frame
+         is enlarged, and how far the image, after what is kept of it, goes towards each of the 8 pixels around it, or
+         away from them: the mean of samples is less sharp than a display pixel.
+         It sees likelihoods, frame, history and their difference and slopes, what the bounds take away, detail, speed,
+         counter and worth, difference of depths, distance of the sample, how much reading blurred the history, and 8
+         channels that the classifier makes beside the classes.
+         Colour is x / (1 + max), for networks under the sRGB curve.
+         Losses are not published. Here: 5 times the root of the mean square error as displayed, where pixels whose
+         history fails count threefold; L1 of the change from image to image where it holds; half the cross-entropy
          of both choices, each class weighted by 1 / sqrt(its share), between what finds rare classes (1 / share) and
          what is most often right (1). The classes also learn from the image.
          Off the screen and after a cut history fails whatever the network says.
 Needs:   color, depth, motion
 Modes:   pass
-State:   the last image, its depth, counter, range of colours and classes, at display size
+State:   what was accumulated, its worth, depth, counter, range of colours and classes, at display size
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 
-from framecast.color import encode_srgb, tonemap, untonemap
-from framecast.frame import Frame, inverse_depth
-from framecast.methods.larger import WHITE, nearness, require, warn_of_stillness
-from framecast.methods.reproject import chosen, steps
+from framecast.color import to_display, untonemap
+from framecast.frame import Frame
+from framecast.methods.classifier_buffers import CLASSES, Seen, State, look
+from framecast.methods.larger import WHITE, require, warn_of_stillness
 from framecast.nets import BatchNorm, padded
 from framecast.recipe import Recipe
-from framecast.resample import (
-    catmull_rom,
-    enlarge,
-    enlarged_motion,
-    foreground,
-    gaussian,
-    nearest_sample,
-    neighbourhood,
-    sharp_warp,
-    size_at,
-)
-from framecast.warp import fetch, inside, pick, warp
-
-CLASSES = 6
-"""Ghosting: visibility, shading, none; aliasing: geometry, texture, none."""
+from framecast.resample import size_at
+from framecast.warp import warp
 
 LONG = 16.0
 """Motion in display pixels that networks see as 1."""
 
-OLD = -1.5
-"""What the weight of the frame starts from in training, before the sigmoid: 0.18."""
+FIRST, MOST = 0.05, 64.0
+"""Least and most that an image can be worth; a sample on the centre of a pixel is worth 1."""
+STEADY = 4.0
+"""What all history is worth where nothing is counted."""
+RANGE = 2.0
+"""The network makes samples worth up to this many factors e more or less."""
+KEEP = 4.0
+"""What the network's trust in history starts from in training, before the sigmoid: 0.98."""
+HIDDEN = 8.0
+"""By how much, before that sigmoid, trust is less where history surely shows what hid the surface."""
+GHOSTED = 3.0
+"""What a pixel where history fails counts in the loss, against one where it holds."""
+CLASSES_COUNT = 0.5
+"""What finding classes counts in the loss."""
+AROUND = tuple((y, x) for y in range(3) for x in range(3) if (y, x) != (1, 1))
+"""Rows and columns, of 3 x 3 pixels, of those around the one in the middle."""
+TAP = 0.5
+"""Most that one of them adds to it or takes from it."""
 
 SHARES = {"ghosting": (0.015, 0.005, 0.98), "aliasing": (0.13, 0.16, 0.71)}
 """About how many pixels of the training clips are of each class."""
@@ -74,76 +85,35 @@ class Config:
     """Channels of the four scales, multiples of 2, 8, 32 and 64."""
     inner: int = 64
     """Channels inside of the network that mixes."""
+    guide: int = 8
+    """What the classifier tells the network that mixes beside the classes, channels."""
     counter: bool = True
-    """Show how many frames history is made of."""
+    """Show how many frames history is made of, and weigh it by its samples."""
     carried: bool = True
     """Show the classes of the last frame."""
     range: bool = True
     """Show the range of colours of the last frame."""
     classifier: bool = True
-    """Tell the network that mixes the classes; without, history starts anew only off the screen and after a cut."""
+    """Tell the network that mixes the classes."""
 
 
 @dataclass(frozen=True)
-class State:
-    """The last frame, at display size."""
+class Mixed:
+    """What the network that mixes made of a frame and history."""
 
     image: Float[Tensor, "b 3 H W"]
     """Tone-mapped."""
-    depth: Float[Tensor, "b 1 H W"]
-    """Reversed: 1 / depth, 0 at the sky."""
-    counter: Float[Tensor, "b 1 H W"]
-    """Frames before it that the image is made of."""
-    range: Float[Tensor, "b 6 H W"]
-    """Smallest and largest tone-mapped colour, under the sRGB curve."""
-    classes: Float[Tensor, "b 6 H W"]
-    """Likelihoods, in the order of `CLASSES`; 1/3 each: nothing is known."""
-    time: Float[Tensor, " b"]
-    jitter: Float[Tensor, "b 2"]
-    known: Bool[Tensor, " b"]
-    """False before the first frame."""
-
-
-torch.export.register_dataclass(State)
-
-
-@dataclass(frozen=True)
-class Seen:
-    """A frame and what is known of the last one at its places; where nothing is, the frame itself stands in."""
-
-    current: Float[Tensor, "b 3 H W"]
-    """Tone-mapped."""
-    history: Float[Tensor, "b 3 H W"]
-    """Tone-mapped."""
-    valid: Bool[Tensor, "b 1 H W"]
-    """Where there is history at all."""
-    motion: Float[Tensor, "b 2 H W"]
-    """To the last frame, display pixels; 0 where not valid."""
-    depth: Float[Tensor, "b 1 H W"]
-    """Reversed."""
-    nearness: Float[Tensor, "b 1 H W"]
-    """Depth for networks."""
-    difference: Float[Tensor, "b 1 H W"]
-    """Reversed depth there less that here, relative to the larger: above 0 something nearer was there."""
-    counter: Float[Tensor, "b 1 H W"]
-    """Of the last frame."""
-    range: Float[Tensor, "b 6 H W"]
-    """Of the last frame."""
-    range_now: Float[Tensor, "b 6 H W"]
-    classes: Float[Tensor, "b 6 H W"]
-    """Of the last frame."""
-    confidence: Float[Tensor, "b 1 H W"]
-    """1 where a sample of the frame lies on the pixel's centre, falling with its distance."""
-    blur: Float[Tensor, "b 1 H W"]
-    """0 where history was read on the centre of a pixel, 1 half-way between pixels in both directions."""
+    kept: Float[Tensor, "b 3 H W"]
+    """The same before it was sharpened, for the next frame."""
+    worth: Float[Tensor, "b 1 H W"]
+    """Samples that it is made of."""
 
 
 @dataclass(frozen=True)
 class Made:
     """What became of a frame."""
 
-    image: Float[Tensor, "b 3 H W"]
-    """Tone-mapped."""
+    mixed: Mixed
     logits: Float[Tensor, "b 6 H W"] | None
     """Of the classes; None without a classifier."""
     classes: Float[Tensor, "b 6 H W"]
@@ -167,20 +137,26 @@ def pixelwise(inputs: int, outputs: int) -> tuple[nn.Conv2d, BatchNorm, nn.ReLU]
 
 
 class Network(nn.Module):
-    """The classifier: buffers at half the display size, whose sides are multiples of 8, to logits of that size."""
+    """The classifier: buffers at half the display size, whose sides are multiples of 8, to logits of that size.
 
-    def __init__(self, inputs: int, widths: tuple[int, int, int, int]) -> None:
+    After them comes what it tells the network that mixes beside them.
+    """
+
+    def __init__(self, inputs: int, widths: tuple[int, int, int, int], guide: int) -> None:
         super().__init__()
         entering = (inputs, *(width // 2 for width in widths[:-1]))
         self.blocks = nn.ModuleList(bottleneck(a, b) for a, b in zip(entering, widths, strict=True))
         joined = widths[0] // 2 + widths[1] // 8 + widths[2] // 32 + widths[3] // 64
         self.decode = nn.Sequential(
             *(layer for _ in range(3) for layer in pixelwise(joined, joined)),
-            nn.Conv2d(joined, CLASSES, 1),
-            BatchNorm(CLASSES),
+            nn.Conv2d(joined, CLASSES + guide, 1),
+            BatchNorm(CLASSES + guide),
         )
+        shares = torch.tensor([share for three in SHARES.values() for share in three])
+        with torch.no_grad():
+            self.decode[-1].bias[:CLASSES] = shares.log() / 2  # type: ignore[index,operator]
 
-    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 6 h w"]:
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d h w"]:
         logits: Tensor = self.decode(self.joined(x))
         return logits
 
@@ -209,19 +185,22 @@ class Classifier(nn.Module):
         super().__init__()
         self.config = config
         inputs = 10 + config.counter + 6 * config.range + CLASSES * config.carried
-        self.classify = Network(4 * inputs, config.widths) if config.classifier else None
-        mixed = 12 + config.counter + CLASSES * config.classifier
-        self.mix = nn.Sequential(nn.Conv2d(mixed, config.inner, 1), nn.ReLU(), nn.Conv2d(config.inner, 1, 1))
-        nn.init.constant_(self.mix[2].bias, OLD)  # type: ignore[arg-type]
+        self.classify = Network(4 * inputs, config.widths, config.guide) if config.classifier else None
+        mixed = 19 + 2 * config.counter + (CLASSES + config.guide) * config.classifier
+        outputs = 4 + len(AROUND)
+        self.mix = nn.Sequential(nn.Conv2d(mixed, config.inner, 1), nn.ReLU(), nn.Conv2d(config.inner, outputs, 1))
+        nn.init.normal_(self.mix[2].weight, std=1e-2)  # the first images are, nearly, means of samples
+        with torch.no_grad():
+            self.mix[2].bias.copy_(torch.tensor([KEEP] + [0.0] * (outputs - 1)))  # type: ignore[operator]
 
     def start(self, frame: Frame) -> State:
         """The state before the first frame, which is `frame`: nothing is known."""
         require(frame, "classifier", self.needs)
         assert frame.depth is not None
         size = size_at((frame.depth.shape[-2], frame.depth.shape[-1]), self.config.scale)
-        image, depth, counter, span = (frame.depth.new_zeros(len(frame.depth), c, *size) for c in (3, 1, 1, 6))
-        nothing = torch.full_like(span, 1 / 3)
-        return State(image, depth, counter, span, nothing, frame.time, frame.jitter, torch.zeros_like(frame.reset))
+        image, one, span = (frame.depth.new_zeros(len(frame.depth), c, *size) for c in (3, 1, 6))
+        nothing, known = torch.full_like(span, 1 / 3), torch.zeros_like(frame.reset)
+        return State(image, one, one.clone(), one.clone(), span, nothing, frame.time, frame.jitter, known)
 
     def forward(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 H W"], State]:
         """The frame at display size, and what is known of it.
@@ -232,7 +211,7 @@ class Classifier(nn.Module):
         require(frame, "classifier", self.needs)
         warn_of_stillness(torch.where(state.known[:, None], state.jitter, 1.0), frame.jitter, "classifier")
         made = self.make(frame, state)
-        return untonemap(made.image), kept(made, frame)
+        return untonemap(made.mixed.image), kept(made, frame)
 
     def make(self, frame: Frame, state: State, truth: Float[Tensor, "b 2 H W"] | None = None) -> Made:
         """The image and what it was made of.
@@ -242,78 +221,76 @@ class Classifier(nn.Module):
                 network's.
         """
         seen = self.look(frame, state)
-        logits = self.logits(seen)
+        logits, guide = self.classified(seen)
         with torch.autocast(frame.time.device.type, enabled=False):
             classes = seen.classes if logits is None else likelihoods(logits)
             if truth is not None:
                 classes = torch.cat([one_hot(truth[:, k]) for k in (0, 1)], 1)
             failed = classes[:, :1] > classes[:, 1:3].amax(1, keepdim=True)
             counter = torch.where(failed | ~seen.valid, 0.0, seen.counter + 1)
-        weight = torch.sigmoid(self.mix(self.mixing(seen, classes, counter)).float())
-        image = seen.history + weight * (seen.current - seen.history)
-        return Made(image, logits, classes, counter, seen)
+        raw = self.mix(self.mixing(seen, classes, counter, guide)).float()
+        with torch.autocast(frame.time.device.type, enabled=False):
+            mixed = mix(seen, raw, torch.zeros_like(counter) if logits is None else classes[:, :1])
+        return Made(mixed, logits, classes, counter, seen)
 
     def look(self, frame: Frame, state: State) -> Seen:
         """The auxiliary buffers."""
         with torch.autocast(frame.time.device.type, enabled=False):
-            return look(frame, state, self.config.scale)
+            seen = look(frame, state, self.config.scale)
+        return seen if self.config.counter else replace(seen, worth=torch.where(seen.valid, STEADY, 0.0))
 
-    def logits(self, seen: Seen) -> Float[Tensor, "b 6 H W"] | None:
-        """What the classifier says, enlarged to display size."""
+    def classified(self, seen: Seen) -> tuple[Float[Tensor, "b 6 H W"] | None, Float[Tensor, "b g H W"] | None]:
+        """What the classifier says of the classes, as logits, and beside them; enlarged to display size."""
         if self.classify is None:
-            return None
+            return None, None
         c, (height, width) = self.config, seen.depth.shape[-2:]
-        shown = [encode_srgb(seen.current), encode_srgb(seen.history), seen.nearness, seen.difference]
-        shown.append((seen.motion / LONG).clamp(-4, 4))
+        shown = [seen.shown, seen.nearness, seen.difference, (seen.motion / LONG).clamp(-4, 4)]
         shown += [1 / (1 + seen.counter)] * c.counter + [seen.range] * c.range + [seen.classes] * c.carried
         half: Tensor = self.classify(F.pixel_unshuffle(padded(torch.cat(shown, 1), 16), 2))
-        return F.interpolate(half.float(), scale_factor=2, mode="bilinear")[..., :height, :width]
+        large = F.interpolate(half.float(), scale_factor=2, mode="bilinear")[..., :height, :width]
+        return large[:, :CLASSES], large[:, CLASSES:]
 
-    def mixing(self, seen: Seen, classes: Tensor, counter: Tensor) -> Float[Tensor, "b c H W"]:
+    def mixing(self, seen: Seen, classes: Tensor, counter: Tensor, guide: Tensor | None) -> Float[Tensor, "b c H W"]:
         """What the network that mixes sees."""
-        current, history = encode_srgb(seen.current), encode_srgb(seen.history)
-        shown = [current, history, (current - history).abs(), seen.difference, seen.confidence, seen.blur]
-        shown += [1 / (1 + counter)] * self.config.counter + [classes] * self.config.classifier
+        current, history = seen.shown.chunk(2, 1)
+        off = (seen.bounded - seen.history).abs().amax(1, keepdim=True)
+        detail = (seen.sharp - seen.smooth).abs().amax(1, keepdim=True)
+        speed = (seen.motion / LONG).square().sum(1, keepdim=True).sqrt().clamp(max=4)
+        shown = [current, history, (current - history).abs(), 4 * off, 4 * detail, speed]
+        shown += [seen.difference, seen.confidence, seen.blur, slopes(current), slopes(history)]
+        shown += [1 / (1 + counter), 1 / (1 + seen.worth)] * self.config.counter
+        shown += [] if guide is None else [classes, guide]
         return torch.cat(shown, 1)
 
 
-def look(frame: Frame, state: State, scale: float) -> Seen:
-    """The auxiliary buffers of a frame, at display size."""
-    assert frame.color is not None
-    assert frame.depth is not None
-    small, size = ((x.shape[-2], x.shape[-1]) for x in (frame.depth, state.image))
-    color, jitter = tonemap(frame.color).clamp(max=WHITE), frame.jitter
-    nearest = nearest_sample(small, size, jitter)
-    around = neighbourhood(encode_srgb(color))
-    depths = torch.cat((frame.depth, around.low, around.high), 1)
-    depth, range_now = pick(depths, nearest).split((1, 6), 1)
-    motion = steps(frame, state.time, jitter)  # both images lie on whole pixels: their jitter is the same
-    motion = foreground(frame.depth, chosen(frame.reset, torch.zeros_like(motion), motion))[1]
-    motion = enlarged_motion(motion, size, jitter)
-    valid = inside(motion) & (state.known & ~frame.reset)[:, None, None, None]
-    motion = torch.where(valid, motion, 0.0)
-    current = enlarge(color, size, jitter, catmull_rom, 4).image.clamp(0, WHITE)
-    there, counter, range_there = fetch(torch.cat((state.depth, state.counter, state.range), 1), motion).split(
-        (1, 1, 6), 1
-    )
-    here = inverse_depth(depth)
-    difference = (there - here) / torch.maximum(there, here).clamp(min=1e-6)
-    fraction = motion - motion.floor()
-    return Seen(
-        current=current,
-        history=torch.where(valid, sharp_warp(state.image, motion), current),
-        valid=valid,
-        motion=motion,
-        depth=here,
-        nearness=nearness(depth),
-        difference=torch.where(valid, difference, 0.0),
-        counter=torch.where(valid, counter, 0.0),
-        range=torch.where(valid, range_there, range_now),
-        range_now=range_now,
-        classes=torch.where(valid, warp(state.classes, motion), 1 / 3),
-        confidence=enlarge(frame.depth, size, jitter, lambda x: gaussian(scale * x), 3).peak,
-        blur=2 * (fraction * (1 - fraction)).sum(1, keepdim=True),
-    )
+def slopes(image: Float[Tensor, "b 3 H W"]) -> Float[Tensor, "b 2 H W"]:
+    """How brightness changes across and down, from the pixel before to the one after."""
+    bright = F.pad(image.mean(1, keepdim=True), (1, 1, 1, 1), mode="replicate")
+    across, down = bright[..., 1:-1, 2:] - bright[..., 1:-1, :-2], bright[..., 2:, 1:-1] - bright[..., :-2, 1:-1]
+    return torch.cat((across, down), 1)
+
+
+def mix(seen: Seen, raw: Float[Tensor, "b 12 H W"], hidden: Float[Tensor, "b 1 H W"]) -> Mixed:
+    """Frame and history, each by the samples that it is worth, as far as the network does not say otherwise.
+
+    Args:
+        raw: how far history is still worth what it was; how much more or less the frame is; how far history has to
+            lie within the frame's colours; how sharp the frame is; and, for the image alone, how far it goes towards
+            each of the pixels around (`AROUND`), or away from them.
+        hidden: likelihood that history shows what hid the surface.
+    """
+    trust, fresh, bound, sharp, taps = raw.split((1, 1, 1, 1, len(AROUND)), 1)
+    old = seen.worth * torch.sigmoid(trust - HIDDEN * hidden)
+    new = seen.confidence * torch.exp(RANGE * torch.tanh(fresh))
+    current = seen.smooth + torch.sigmoid(sharp) * (seen.sharp - seen.smooth)
+    history = seen.history + torch.sigmoid(bound) * (seen.bounded - seen.history)
+    kept = history + new / (old + new) * (current - history)
+    height, width = kept.shape[-2:]
+    wide = F.pad(kept, (1, 1, 1, 1), mode="replicate")
+    image = kept
+    for (y, x), tap in zip(AROUND, (TAP * torch.tanh(taps)).split(1, 1), strict=True):
+        image = image + tap * (wide[..., y : y + height, x : x + width] - kept)
+    return Mixed(image.clamp(0, WHITE), kept, (old + new).clamp(FIRST, MOST))
 
 
 def likelihoods(logits: Float[Tensor, "b 6 H W"]) -> Float[Tensor, "b 6 H W"]:
@@ -328,8 +305,18 @@ def one_hot(classes: Float[Tensor, "b H W"]) -> Float[Tensor, "b 3 H W"]:
 
 def kept(made: Made, frame: Frame) -> State:
     """What the next frame sees of this one."""
-    seen, known = made.seen, torch.ones_like(frame.reset)
-    return State(made.image, seen.depth, made.counter, seen.range_now, made.classes, frame.time, frame.jitter, known)
+    seen, mixed, known = made.seen, made.mixed, torch.ones_like(frame.reset)
+    return State(
+        mixed.kept,
+        mixed.worth,
+        seen.depth,
+        made.counter,
+        seen.range_now,
+        made.classes,
+        frame.time,
+        frame.jitter,
+        known,
+    )
 
 
 # Training.
@@ -349,7 +336,7 @@ def loss(
         made = method.make(frame, state, None if target is None or not true_labels else target[:, 3:])
         if target is not None:
             terms.append(errors(made, target, before))
-            before = tonemap(target[:, :3]).clamp(max=WHITE)
+            before = displayed(made, target)
         state = kept(made, frame)
     names = dict.fromkeys(name for each in terms for name in each)
     return {name: torch.stack([each[name] for each in terms if name in each]).mean() for name in names}
@@ -363,25 +350,32 @@ def loss_with_true_labels(
 
 
 def errors(
-    made: Made, target: Float[Tensor, "b 5 H W"], before: Float[Tensor, "b 3 H W"] | None
+    made: Made, target: Float[Tensor, "b 5 H W"], before: Float[Tensor, "b 6 H W"] | None
 ) -> dict[str, Float[Tensor, ""]]:
-    """The terms of one frame; `before` is the tone-mapped truth of the last one."""
-    truth, classes = tonemap(target[:, :3]).clamp(max=WHITE), target[:, 3:].long()
-    seen = made.seen
-    terms = {"l1": 5 * (encode_srgb(made.image) - encode_srgb(truth)).abs().mean()}
+    """The terms of one frame; `before` is the last image beside its truth, as displayed."""
+    classes, seen, both = target[:, 3:].long(), made.seen, displayed(made, target)
+    off = both[:, :3] - both[:, 3:]
+    weight = torch.where(classes[:, :1] == 2, 1.0, GHOSTED)
+    square = (weight * off.square()).mean((1, 2, 3)) / weight.mean((1, 2, 3))
+    terms = {"image": 5 * (square + 1e-6).sqrt().mean()}
     if before is not None:
         holds = (seen.valid & (classes[:, :1] == 2)).float()
-        change = encode_srgb(made.image) - encode_srgb(seen.history)
-        right = encode_srgb(truth) - encode_srgb(sharp_warp(before, seen.motion))
-        terms["temporal"] = (holds * (change - right).abs()).mean()
+        old = warp(before, seen.motion)
+        terms["temporal"] = (holds * (off - old[:, :3] + old[:, 3:]).abs()).mean()
     if made.logits is not None:
         for k, (name, shares) in enumerate(SHARES.items()):
-            weights = torch.tensor(shares, device=truth.device).rsqrt()
+            weights = torch.tensor(shares, device=off.device).rsqrt()
             logits = made.logits[:, 3 * k : 3 * k + 3]
-            terms[name] = 0.1 * F.cross_entropy(logits, classes[:, k], weights)
+            terms[name] = CLASSES_COUNT * F.cross_entropy(logits, classes[:, k], weights)
     return terms
 
 
+def displayed(made: Made, target: Float[Tensor, "b 5 H W"]) -> Float[Tensor, "b 6 H W"]:
+    """The image beside its truth, as they are compared and looked at."""
+    with torch.autocast(target.device.type, enabled=False):
+        return to_display(torch.cat((untonemap(made.mixed.image), target[:, :3]), 1))
+
+
 recipe = Recipe(
-    loss=loss, mode="pass", shaded=6, truths=5, labels=True, crop=(64, 64), batch=2, steps=3000, rate=1e-3, warmup=50
+    loss=loss, mode="pass", shaded=8, truths=8, labels=True, crop=(64, 64), batch=2, steps=1000, rate=2e-3, warmup=50
 )
