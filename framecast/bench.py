@@ -343,12 +343,21 @@ def first_calls_elsewhere(name: str, settings: Settings, cache: str) -> dict[Rol
 # The command.
 
 
+def stage_lines(rows: Sequence[Row]) -> list[str]:
+    """What each row's milliseconds consist of, a line a row: its stages, each with its own time."""
+    return [
+        f"{row.method} {row.role} {'compiled' if row.compiled else 'eager'}: "
+        + ", ".join(f"{name} {spent:.1f}" for name, spent in row.stages.items() if name != "rest")
+        for row in rows
+        if len(row.stages) > 1
+    ]
+
+
 def table(rows: Sequence[Row], baseline: str) -> Table:
     """The rows to print."""
     made = Table(caption=f"milliseconds; ratio to eager {baseline}; MB that it adds; compile seconds cold / warm")
-    for column in ("method", "role", "", "median", "quartiles", "ratio", "stages", "MB", "compile", "recompiled"):
-        left = column in ("method", "role", "", "stages")
-        made.add_column(column, justify="left" if left else "right", overflow="fold")
+    for column in ("method", "role", "", "median", "quartiles", "ratio", "MB", "compile", "recompiled"):
+        made.add_column(column, justify="left" if column in ("method", "role", "") else "right", overflow="fold")
     for row in rows:
         built = "" if row.compile_cold is None else f"{row.compile_cold:.1f} / {row.compile_warm:.1f}"
         made.add_row(
@@ -358,7 +367,6 @@ def table(rows: Sequence[Row], baseline: str) -> Table:
             f"{row.median:.2f}",
             f"{row.lower:.2f} - {row.upper:.2f}",
             "" if row.ratio is None else f"{row.ratio:.2f}",
-            ", ".join(f"{name} {spent:.1f}" for name, spent in row.stages.items() if name != "rest"),
             f"{row.memory:.0f}",
             built,
             str(row.recompilations) if row.compiled else "",
@@ -410,6 +418,8 @@ def command(
     console = Console()
     console.print(", ".join(f"{k} {v}" for k, v in described.items()), f"{width}x{height}", highlight=False)
     console.print(table(rows, baseline))
+    for line in stage_lines(rows):
+        console.print(line, highlight=False)
     if profile:
         console.print(f"{profile}: a trace of one call of each; open it at ui.perfetto.dev", highlight=False)
     if json:
