@@ -259,6 +259,17 @@ def test_samples_follow_from_seed_and_number(source: Footage) -> None:
     assert not equal(one[7].frames, samples(source, seed=1)[7].frames)
 
 
+def test_vectors_reach_the_last_shaded_frame_or_the_one_between(source: Footage) -> None:
+    """Methods that keep what they made of unshaded frames ask for vectors to those."""
+    recipe = replace(SMALL, mode="alternate", shaded=2, truths=1)
+    gap, step = (
+        Samples([source], recipe, fields=FIELDS, seed=0, motion=motion)[3].frames for motion in ("gap", "step")
+    )
+    for one, other, reach in zip(gap, step, (2, 1, 2, 1), strict=True):
+        assert (float(one.span), float(other.span)) == (reach, 1)
+        assert one.is_shaded == (reach == 2)
+
+
 @pytest.mark.parametrize("mode", ["extrapolate", "interpolate"])
 def test_a_sample_is_three_shaded_frames_and_one_to_generate(source: Footage, mode: str) -> None:
     sample = samples(source, mode=mode, stops=0.0)[3]
