@@ -18,7 +18,7 @@ from framecast.fit import method_named
 from framecast.frame import Frame
 from framecast.provenance import machine
 from framecast.resample import sharp_warp, size_at
-from framecast.runtime import OPTIONS, compiled
+from framecast.runtime import OPTIONS, compiled, inference, placed
 from framecast.sample import scene
 from framecast.table import resample, shipped_table
 from framecast.warp import warp
@@ -33,15 +33,23 @@ def frames(size: tuple[int, int]) -> list[Frame]:
 
 
 def prepared(name: str, clip: list[Frame], scale: float, fast: bool) -> tuple[Callable[[], object], float]:
-    """A call that makes one more image, from the state after the frames before; and the memory of those frames, MB."""
-    method = method_named(name, scale).eval()
+    """A call that makes one more image, from the state after the frames before; and the memory of those frames, MB.
+
+    As `runtime.stream` calls it: networks in bfloat16 where that is faster.
+    """
+    method = placed(method_named(name, scale), "cpu")
     call: Any = compiled(method) if fast else method
     state = call.start(clip[0])
     reset_peak_memory("cpu")
-    with torch.no_grad():
+    with inference(method, "cpu"):
         for frame in clip[:-1]:
             _, state = call(frame, state)
-    return (lambda: call(clip[-1], state)), peak_memory("cpu")
+
+    def once() -> object:
+        with inference(method, "cpu"):
+            return call(clip[-1], state)
+
+    return once, peak_memory("cpu")
 
 
 def resized(clip: list[Frame], scale: float, how: int) -> Callable[[], object]:
