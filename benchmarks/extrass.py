@@ -1,13 +1,15 @@
-"""ExtraSS beyond what `framecast evaluate` measures: TAAU with the same input, longer gaps, drift; as markdown.
+"""ExtraSS beyond what `framecast evaluate` and `framecast bench` measure, as markdown.
 
     python benchmarks/extrass.py input CLIP...     extrass beside taau that is given the same shaded frames, and all
     python benchmarks/extrass.py gaps CLIP...      one, two and three generated frames between shaded ones
     python benchmarks/extrass.py drift CLIP...     300 frames of each clip, forth and back, by parts of 60
+    python benchmarks/extrass.py warp              guided warping, eager and compiled
 
 Clips need references of twice the size. `--method extrass=runs/x/weights.safetensors` measures other weights.
 """
 
 import statistics
+import time as clock
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,15 +17,19 @@ from pathlib import Path
 
 import torch
 import tyro
+from torch import Tensor
 
 from framecast.clip import Clip, open_clip
 from framecast.color import to_display
 from framecast.evaluate import Settings, evaluate_clip, index_at
 from framecast.fit import method_named
 from framecast.frame import Frame, unshaded
+from framecast.methods import guided
+from framecast.methods.reproject import steps
 from framecast.metrics import measure
 from framecast.results import Row
-from framecast.runtime import Output, schedule, stream
+from framecast.runtime import OPTIONS, Output, schedule, stream
+from framecast.sample import scene
 
 Clips = tyro.conf.Positional[tuple[Path, ...]]
 
@@ -123,5 +129,35 @@ def forth_and_back(clip: Clip, frames: int, every: int) -> Iterator[Frame]:
         yield frame if k % every == 0 else unshaded(frame)
 
 
+def warp(height: int = 720, width: int = 1280, threads: int = 1, repeats: int = 5) -> None:
+    """Milliseconds of guided warping on the moving scene of `framecast bench`.
+
+    What a GPU runs searches every pixel; eager against compiled is fair of that. On a CPU only pixels are searched that
+    the straight read does not serve, eager or compiled alike, so that there is less to compile.
+    """
+    torch.set_num_threads(threads)
+    past, now = guided.seen(scene(0.0, height, width)), scene(1.0, height, width, span=1.0)
+    given = past, guided.guides(now), steps(now, past.time, past.jitter)
+    some = guided.search_elsewhere
+
+    def whole(kept: Tensor, *rest: object) -> Tensor:
+        return guided._searched_at(torch.arange(kept.numel()), *rest)  # type: ignore[arg-type]
+
+    print("| guided warping | ms |")
+    for name, search, run in (
+        ("every pixel, eager", whole, guided.guided_warp),
+        ("every pixel, compiled", whole, torch.compile(guided.guided_warp, dynamic=False, options=OPTIONS)),
+        ("where needed, eager", some, guided.guided_warp),
+    ):
+        guided.search_elsewhere = search
+        spent = []
+        with torch.no_grad():
+            for _ in range(repeats + 1):
+                began = clock.perf_counter()
+                run(*given)
+                spent.append((clock.perf_counter() - began) * 1e3)
+        print(f"| {name} | {statistics.median(spent[1:]):.0f} |")
+
+
 if __name__ == "__main__":
-    tyro.extras.subcommand_cli_from_dict({"input": input, "gaps": gaps, "drift": drift})
+    tyro.extras.subcommand_cli_from_dict({"input": input, "gaps": gaps, "drift": drift, "warp": warp})
