@@ -2,7 +2,8 @@
 
     python benchmarks/doctor.py CLIP... --out doctor.jsonl [--turns 4] [--pairs 20] [--only NAME,...] [--again]
 
-Each clip is copied with one buffer stored in another convention (or two) and examined as if nothing were known.
+The first frames of each clip are copied with one buffer stored in another convention (or two) and examined as if
+nothing were known.
 *right*: every corruption is named and nothing else is. *undecidable*: the doctor says that this cannot be told.
 *wrong*: anything else. Results are appended one line a run, with a fingerprint of the doctor's code; the same call goes
 on where it was, with `--again` repeating rows of older code. Of each experiment the last row counts. `--table FILE`
@@ -245,7 +246,9 @@ CORRUPTIONS: dict[str, Corruption] = {
     "jitter y": Corruption("jitter", ("jitter.sign",), recorded(lambda j: (j[0], -j[1]))),
     "jitter lost": Corruption("jitter", ("jitter.unrecorded",), recorded(lambda j: (0.0, 0.0))),
     "view normals": Corruption("normal", ("normal.space",), only("normal", in_view), ("normal.open",)),
-    "normals y": Corruption("normal", ("normal.sign",), only("normal", lambda n, r, i: n * column(1, -1, 1))),
+    "normals y": Corruption(
+        "normal", ("normal.sign",), only("normal", lambda n, r, i: n * column(1, -1, 1)), ("normal.open",)
+    ),
     "normals 0..1": Corruption("normal", ("normal.encoded",), only("normal", lambda n, r, i: n / 2 + 0.5)),
     "display colour": Corruption(
         "color",
@@ -261,10 +264,14 @@ CORRUPTIONS: dict[str, Corruption] = {
 }
 
 
+MOST = 12
+"""Frames of a clip that are used."""
+
+
 @cache
 def frames_of(path: Path) -> Frames:
     clip = open_any(path)
-    return [(record, clip.load(record)) for record in clip.records]
+    return [(record, clip.load(record)) for record in clip.records[:MOST]]
 
 
 def write(folder: Path, frames: Frames, span: float | None, provenance: dict[str, object]) -> None:

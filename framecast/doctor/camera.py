@@ -10,6 +10,24 @@ from framecast.doctor.probe import POINTS, Pair, fit_shift, misfit, pair_of, pic
 from framecast.doctor.take import Take
 from framecast.frame import SKY
 
+FAR = 1e7
+"""Distance that stands for the background."""
+
+
+@dataclass(frozen=True)
+class Distance:
+    """How stored depth may be read while nothing else is known of it."""
+
+    kind: Literal["planar", "inverse", "device"] = "planar"
+    scale: float = 1.0
+
+    def of(self, stored: np.ndarray) -> np.ndarray:
+        """Distances from numbers."""
+        divisor = 1 - stored if self.kind == "device" else stored
+        plain = stored if self.kind == "planar" else 1 / np.maximum(divisor, 1e-9)
+        distances: np.ndarray = np.clip(self.scale * plain, 1e-6, FAR)
+        return distances
+
 
 @dataclass(frozen=True)
 class Blanks:
@@ -25,9 +43,7 @@ class Blanks:
     votes: float
     code: np.ndarray
     """What is stored there, a number a channel."""
-    fields: tuple[tuple[np.ndarray, np.ndarray | None], ...]
-    """What the camera does in the points of each pair of a scene, `2 n`, to the frame before and to the next one."""
-    depth: "Distance | None"
+    depth: Distance | None
     """Of stored depth, with which recorded cameras say so; None where it was fitted to the pictures, light that moves
     included."""
 
@@ -39,26 +55,19 @@ class Blanks:
 
 def blanks_of(take: Take, scene: Scene) -> Blanks | None:
     """What becomes of pixels without vectors; None where there are too few of them, or too little texture on them."""
-    still, moved, blocks, fields, shares, surfaces = [], [], [], [], [], []
-    code, depth, first = np.zeros(2), None, True
+    still: list[np.ndarray] = []
+    moved, blocks, shares, surfaces = [], [], [], []
+    code, depth = np.zeros(2), None
     for k, before in enumerate(scene.pairs):
         empty, code = blank(take.stored[before.here]["motion"])
         empty = resampled(empty, take.size)
         shares.append(empty.mean())
-        solid = empty & ~background(take, before.here)
-        surfaces.append(solid.mean())
-        image = take.images[before.here].astype(np.float32)
-        points = pick_points(image, solid if solid.mean() > EMPTY_SHARE else empty, POINTS // 2, k)
-        few = len(points) < 200
-        pair = between(take, before.here, before.there, scene.points[k] if few else points)
-        if not few and first:
-            depth, first = distance_of(take, pair, points), False
-        after = scene.after[k]
-        onward = after and between(take, after.here, after.there, scene.points[k] if few else points)
-        forth = camera_motion(take, onward, scene.points[k], depth) if onward else None
-        fields.append((camera_motion(take, pair, scene.points[k], depth), forth))
-        if few:
+        surfaces.append((empty & ~background(take, before.here)).mean())
+        points = blank_points(take, before.here, k)
+        if len(points) < 200:
             continue
+        pair = between(take, before.here, before.there, points)
+        depth = depth if still else distance_of(take, pair, points)
         field = camera_motion(take, pair, points, depth)
         zero = np.zeros_like(pair.x)
         shift = fit_shift(pair, zero, zero)
@@ -74,9 +83,29 @@ def blanks_of(take: Take, scene: Scene) -> Blanks | None:
         return None
     sure = votes(b, a, np.concatenate(blocks))
     return Blanks(
-        float(np.mean(shares)), float(np.mean(surfaces)), float(a.mean()), float(b.mean()), float(sure), code,
-        tuple(fields), depth,
-    )  # fmt: skip
+        float(np.mean(shares)), float(np.mean(surfaces)), float(a.mean()), float(b.mean()), float(sure), code, depth
+    )
+
+
+def blank_points(take: Take, t: int, seed: int) -> np.ndarray:
+    """Textured pixels without vectors, by linear index: of surfaces where there are enough of them."""
+    empty = resampled(blank(take.stored[t]["motion"])[0], take.size)
+    solid = empty & ~background(take, t)
+    image = take.images[t].astype(np.float32)
+    return pick_points(image, solid if solid.mean() > EMPTY_SHARE else empty, POINTS // 2, seed)
+
+
+def camera_fields(take: Take, scene: Scene, depth: Distance | None) -> tuple[tuple[np.ndarray, np.ndarray | None], ...]:
+    """What the camera does in the points of each pair of a scene, `2 n`, to the frame before and to the next one."""
+    out = []
+    for k, (before, after) in enumerate(zip(scene.pairs, scene.after, strict=True)):
+        points = blank_points(take, before.here, k)
+        points = points if len(points) >= 200 else scene.points[k]
+        back, forth = (p and between(take, p.here, p.there, points) for p in (before, after))
+        assert back is not None
+        onward = camera_motion(take, forth, scene.points[k], depth) if forth else None
+        out.append((camera_motion(take, back, scene.points[k], depth), onward))
+    return tuple(out)
 
 
 def between(take: Take, here: int, there: int, points: np.ndarray) -> Pair:
@@ -102,25 +131,6 @@ def sky_of(depth: np.ndarray) -> np.ndarray:
         if same.mean() > 0.005 and (extreme in (0.0, 1.0) or abs(extreme) >= SKY * 0.99):
             out |= same
     return out
-
-
-FAR = 1e7
-"""Distance that stands for the background."""
-
-
-@dataclass(frozen=True)
-class Distance:
-    """How stored depth may be read while nothing else is known of it."""
-
-    kind: Literal["planar", "inverse", "device"] = "planar"
-    scale: float = 1.0
-
-    def of(self, stored: np.ndarray) -> np.ndarray:
-        """Distances from numbers."""
-        divisor = 1 - stored if self.kind == "device" else stored
-        plain = stored if self.kind == "planar" else 1 / np.maximum(divisor, 1e-9)
-        distances: np.ndarray = np.clip(self.scale * plain, 1e-6, FAR)
-        return distances
 
 
 def distance_of(take: Take, pair: Pair, points: np.ndarray) -> Distance | None:

@@ -108,7 +108,7 @@ def _reduced(size: tuple[int, int]) -> tuple[int, int]:
 def relative(depth: np.ndarray) -> np.ndarray:
     """Rank of the numbers in 0..1: edges of it do not depend on what kind of depth it is."""
     flat = np.nan_to_num(depth.astype(np.float32), nan=0, posinf=3e38, neginf=0)
-    order = np.sort(flat.ravel()[:: max(1, flat.size // 20000)])
+    order = np.sort(flat.ravel()[:: max(1, flat.size // 2000)])
     return (np.searchsorted(order, flat) / len(order)).astype(np.float32)
 
 

@@ -91,7 +91,8 @@ def examine(folder: Path | str) -> Examined:
         )
     if settings.cameras is None and "jitter" in take.recorded and not jitter_gone(findings):
         settings = replace(settings, jitter=_recorded(source, settings.jitter))
-    settings, said = _surfaces(source, take, settings, _unshaken(take, fields, ahead) if jittered else fields)
+    fields = _unshaken(take, fields, ahead) if jittered else fields
+    settings, said = _surfaces(source, take, settings, told, fields)
     findings += said
     settings, said = _light(source, take, settings, told, steps)
     findings += said
@@ -184,16 +185,19 @@ def _unshaken(take: Take, fields: Mapping[int, np.ndarray], ahead: int) -> dict[
 
 
 def _surfaces(
-    source: Source, take: Take, settings: Settings, fields: Mapping[int, np.ndarray]
+    source: Source, take: Take, settings: Settings, told: Told, fields: Mapping[int, np.ndarray]
 ) -> tuple[Settings, list[Finding]]:
     """Depth, normals, silhouettes."""
     findings: list[Finding] = []
     claimed = settings.depth
     if claimed is None or not take.full("depth"):
         return settings, findings
-    said, depth = tell_depth(
-        take, claimed, {t: f for t, f in fields.items() if "depth" in take.stored[t]}, source.bits["depth"]
-    )
+    deep = {t: field for t, field in fields.items() if "depth" in take.stored[t]}
+    times = None
+    if told.lacks:  # such vectors tell nothing of the camera, the pictures were asked instead
+        distance = told.blanks.depth if told.blanks else None
+        deep, times = {}, distance.scale if distance and distance.kind == "planar" else None
+    said, depth = tell_depth(take, claimed, deep, source.bits["depth"], times)
     findings += said
     if depth is not None:
         settings = replace(settings, depth=depth)

@@ -16,6 +16,9 @@ BRIGHT = -0.7
 FACTORS = tuple(2.0 ** (k / 3) for k in range(-3, 6))
 """What the vectors may have to be taken times to lead to where the picture went."""
 
+POINTS = 1000
+"""Points of the whole picture, and of what the vectors move."""
+
 ENOUGH = 100
 """Points that vectors have to move by half a pixel for a verdict on how far the picture goes."""
 
@@ -55,9 +58,9 @@ def steps_of(take: Take, told: Told) -> list[Step]:
 def step_of(take: Take, told: Told, here: int, there: int) -> Step | None:
     """Two neighbours, the first of which holds the vectors; None without texture."""
     image, other = take.images[here].astype(np.float32), take.images[there].astype(np.float32)
-    points = pick_points(image, np.ones(take.size, bool), 2000, here)
+    points = pick_points(image, np.ones(take.size, bool), POINTS, here)
     if "motion" in take.stored[here]:
-        points = np.union1d(points, pick_points(image, restless(take.stored[here]["motion"], take.size), 1500, here))
+        points = np.union1d(points, pick_points(image, restless(take.stored[here]["motion"], take.size), POINTS, here))
     if len(points) < 50:
         return None
     pair = replace(pair_of([image, other], 0, 1, points), here=here, there=there)

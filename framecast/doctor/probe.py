@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-POINTS = 4000
+POINTS = 3000
 """Points of one pair of frames."""
 
 BLOCKS = 6

@@ -28,9 +28,13 @@ def tangents_of(take: Take) -> list[float]:
 
 
 def tell_depth(
-    take: Take, claim: Depth, fields: Mapping[int, np.ndarray], bits: int
+    take: Take, claim: Depth, fields: Mapping[int, np.ndarray], bits: int, times: float | None = None
 ) -> tuple[list[Finding], Depth | None]:
-    """Findings, and how to read depth; None where that cannot be told."""
+    """Findings, and how to read depth; None where that cannot be told.
+
+    Args:
+        times: what distances have to be taken times by another experiment, where vectors cannot tell.
+    """
     frames = take.full("depth")
     values = np.concatenate([take.stored[t]["depth"][0].astype(np.float64).ravel()[::11] for t in frames[:4]])
     values = values[np.isfinite(values)]
@@ -57,7 +61,7 @@ def tell_depth(
             "sideways; record a camera that walks"
         )
         return [Finding("depth.open", "unknown", says)], None
-    found, scaled = parameters(take, claim, kind, fields, values)
+    found, scaled = parameters(take, claim, kind, fields, values, times)
     out = []
     claimed = claim.kind
     if found.kind in ("device", "reversed") and claim.near == 0 and "cameras" not in take.recorded:
@@ -156,7 +160,7 @@ def _preferred(law: Law, claim: Depth) -> str:
 
 
 def parameters(
-    take: Take, claim: Depth, group: str, fields: Mapping[int, np.ndarray], values: np.ndarray
+    take: Take, claim: Depth, group: str, fields: Mapping[int, np.ndarray], values: np.ndarray, times: float | None
 ) -> tuple[Depth, float | None]:
     """Kind, near and far within a group, and what depth has to be taken times to fit the recorded cameras."""
     bare = replace(claim, kind="planar", near=0.0, far=None, scale=1.0, bias=0.0)
@@ -169,13 +173,13 @@ def parameters(
         if claim.kind == kind:
             return claim, None
         found = replace(bare, kind=kind, near=near, far=_far(take) if kind == "device" else None)
-        times = fitted_scale(take, found, fields) or 1.0
-        return replace(found, near=near * times, far=found.far * times if found.far else None), None
+        factor = fitted_scale(take, found, fields) or 1.0
+        return replace(found, near=near * factor, far=found.far * factor if found.far else None), None
     if group == "euclidean":
         found = replace(bare, kind="euclidean")
         return found, fitted_scale(take, found, fields)
     found = claim if claim.kind in ("planar", "unit") else bare
-    scaled = fitted_scale(take, found, fields)
+    scaled = fitted_scale(take, found, fields) or times
     looks_unit = claim.kind == "planar" and values.max() <= 1.0 + 1e-6 and values.min() >= 0
     if looks_unit and (scaled is None or not 0.8 < scaled < 1.25):
         far = float(scaled) if scaled is not None else 1000.0

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from framecast.doctor.camera import Blanks, blanks_of
+from framecast.doctor.camera import Blanks, blanks_of, camera_fields
 from framecast.doctor.motion import Reading, Scene, displacement, margin, resampled, scene_of, trial
 from framecast.doctor.probe import BLOCKS, fit_shift, misfit
 from framecast.doctor.report import Finding
@@ -43,14 +43,12 @@ def tell_motion(take: Take, claim: Motion) -> Told:
     answer, lacks = search(take, scene, claim), "written" if marked else ""
     if missing and blanks is not None and not marked:
         lacks = "written"
-        with_camera = blanks_of(take, scene)
-        if with_camera is not None and with_camera.fields:
-            other = search(take, replace(scene, base=with_camera.fields), claim)
-            if better(other, answer):
-                answer, lacks = other, "camera"
+        other = search(take, replace(scene, base=camera_fields(take, scene, blanks.depth)), claim)
+        if better(other, answer):
+            answer, lacks = other, "camera"
     findings = list(_differences(take, answer, claim))
     if missing and blanks is not None:
-        findings.append(_blank_finding(blanks, lacks))
+        findings.append(_blank_finding(blanks, lacks, claim))
     elif marked:
         findings.append(
             Finding(
@@ -265,7 +263,7 @@ def _length(take: Take, answer: Answer, claim: Motion) -> Finding:
     return Finding(code, "fix", f"{words}: error falls from {theirs:.3f} to {ours:.3f}", theirs, ours, sure)
 
 
-def _blank_finding(blanks: Blanks, lacks: str) -> Finding:
+def _blank_finding(blanks: Blanks, lacks: str, claim: Motion) -> Finding:
     errors = f"error there falls from {blanks.still:.3f} to {blanks.moved:.3f} when a camera moves them"
     if blanks.surfaces < 0.02:
         says = (
@@ -280,6 +278,9 @@ def _blank_finding(blanks: Blanks, lacks: str) -> Finding:
         f"vectors were not written where nothing moves by itself ({blanks.share:.0%} of the "
         f"picture holds {blanks.code[0]:g}): {errors}"
     )
+    if claim.unwritten is not None and blanks.code[0] == claim.unwritten:
+        says = f"{says}, as claimed; importing fills them in from the cameras"
+        return Finding("motion.unwritten", "note", says, blanks.still, blanks.moved, blanks.votes)
     return Finding("motion.unwritten", "fix", says, blanks.still, blanks.moved, blanks.votes)
 
 

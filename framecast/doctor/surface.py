@@ -11,7 +11,7 @@ from framecast.doctor.probe import thinned
 from framecast.doctor.take import Take
 from framecast.importers.decode import AXES
 
-ENOUGH = 20_000
+ENOUGH = 5_000
 """Pixels of a frame whose normals are compared with the slopes of depth."""
 
 Signs = tuple[float, float, float]
