@@ -33,7 +33,8 @@ def method_named(name: str, scale: float | None = None) -> Method:
     after a (`compose.py`), where the scale is that of the method that does not make frames.
     """
     if "+" in name:
-        return after(*name.rsplit("+", 1), scale)
+        first, _, second = name.rpartition("+")
+        return after(first, second, scale)
     name, _, weights = name.partition("=")
     names: Mapping[str, Any] = TRAINABLE if weights else METHODS
     if name not in names:
@@ -87,9 +88,12 @@ def lacking(clip: Clip, method: Method) -> tuple[str, ...]:
 
 
 def fitting(clips: Sequence[Clip], mode: Mode, scales: Sequence[float | None] = ()) -> tuple[str, ...]:
-    """Names of the methods that can run on all of the clips in a mode, and at each of the scales that is not None."""
+    """Names of the methods that can run on all of the clips in a mode, and at each of the scales that is not None.
+
+    Where none is given, frames are made at their own size.
+    """
     made: dict[str, Method] = {name: make() for name, make in METHODS.items()}
-    wanted = {scale for scale in scales if scale is not None}
+    wanted = {scale for scale in scales if scale is not None} or ({1.0} if mode != "pass" else set())
     able = {name: m for name, m in made.items() if supports(m, mode) and wanted <= {*m.scales, scale_of(m)}}
     return tuple(name for name, m in able.items() if not any(lacking(clip, m) for clip in clips))
 

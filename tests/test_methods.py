@@ -1,4 +1,4 @@
-"""What every method that generates frames promises, whatever it computes."""
+"""What every method that generates frames promises, whatever it computes; `test_joint.py`: those that enlarge, too."""
 
 import copy
 import sys
@@ -12,6 +12,7 @@ from conftest import disc_frame
 from torch import nn
 from torch.utils._pytree import tree_leaves
 
+from framecast.fit import scale_of
 from framecast.frame import BUFFERS, Frame, concatenate, moment, perspective, unshaded
 from framecast.methods import METHODS
 
@@ -20,7 +21,11 @@ OPTIONAL = {"motion_next"}
 
 EVERYTHING = (*BUFFERS, "view", "projection")
 
-GENERATING = [name for name in sorted(METHODS) if set(METHODS[name]().modes) - {"pass"}]  # type: ignore[arg-type]
+GENERATING = [
+    name
+    for name in sorted(METHODS)
+    if set(METHODS[name]().modes) - {"pass"} and scale_of(METHODS[name]()) == 1  # type: ignore[arg-type]
+]
 
 pytestmark = pytest.mark.parametrize("name", GENERATING)
 

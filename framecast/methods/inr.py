@@ -63,7 +63,7 @@ class RenderINR(nn.Module):
         both images is the cheaper place for it. Under autocast all in its precision."""
         kind = maps.device.type
         dtype = torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else torch.float32
-        parameters = [p.to(dtype) for layer in self.layers for p in (layer.weight, layer.bias)]
+        parameters = [p.to(dtype) for p in self.parameters()]  # weight and bias of each layer in turn
         arguments = maps.to(dtype), known.to(dtype), jitter, parameters
         return render_tiles(*arguments) if kind == "cpu" else _rendered(*arguments, known.shape[-2])
 
