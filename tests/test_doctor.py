@@ -11,9 +11,9 @@ from doctor_scene import SIZE, changed, frames, write
 
 from framecast import exr
 from framecast.cli import main
-from framecast.doctor import camera, motion
+from framecast.doctor import camera, motion, probe
 from framecast.doctor.depth import planarity
-from framecast.doctor.edges import edges_of
+from framecast.doctor.edges import Edges, Grain, edges_of
 from framecast.doctor.examine import examine
 from framecast.doctor.follow import steps_of
 from framecast.doctor.jitter import halton, sequence_of
@@ -21,9 +21,17 @@ from framecast.doctor.motion import displacement
 from framecast.doctor.say_depth import tangents_of, tell_depth
 from framecast.doctor.say_jitter import tell_jitter
 from framecast.doctor.say_motion import fields_of, tell_motion
-from framecast.doctor.say_rest import tell_color, tell_exposure, tell_normals, tell_offset, tell_padding
+from framecast.doctor.say_rest import (
+    tell_color,
+    tell_edges,
+    tell_exposure,
+    tell_normals,
+    tell_offset,
+    tell_padding,
+    tell_time,
+)
 from framecast.doctor.source import open_source
-from framecast.doctor.surface import SIGNS, Normals, normals_of, rotations, tone_of
+from framecast.doctor.surface import SIGNS, Normals, Tone, normals_of, rotations, tone_of
 from framecast.doctor.take import Take, load
 from framecast.doctor.timeline import exposure_of
 from framecast.importers import open_any
@@ -125,6 +133,9 @@ def test_vectors_without_the_cameras_part_and_vectors_not_written(take: Take) ->
     empty = [{**s, "motion": np.where(m, s["motion"], 0)} for s, m in zip(take.stored, moving, strict=True)]
     assert "motion.camera" in fixes(tell_motion(replace(take, stored=lacking), MOTION).findings)
     assert "motion.unwritten" in fixes(tell_motion(replace(take, stored=empty), MOTION).findings)
+    told = tell_motion(replace(take, stored=empty), replace(MOTION, unwritten=0.0))
+    assert ("motion.unwritten", "note") in {(f.code, f.state) for f in told.findings}
+    assert fixes(told.findings) == set()
 
 
 def _camera(t: int) -> np.ndarray:
@@ -139,6 +150,44 @@ def _camera(t: int) -> np.ndarray:
     local = np.stack([(here[0] - SIZE[1] / 2) / focal * z, (SIZE[0] / 2 - here[1]) / focal * z, -z, np.ones_like(z)])
     world = np.einsum("ij,jhw->ihw", pose, local)[:3]
     return (doctor_scene.places(world, doctor_scene.camera(t - 1, 1.0)) - here).astype(np.float32)
+
+
+@pytest.mark.parametrize(("kind", "scale"), [("planar", 100.0), ("inverse", 0.1)])
+def test_what_depth_is_follows_from_pictures_and_cameras_alone(tmp_path: Path, kind: str, scale: float) -> None:
+    take = load(open_source(write(tmp_path / "clip", frames(5, jittered=False, speed=0))))
+    stored = altered(take, "depth", lambda z: np.where(z < 60000, scale * z if kind == "planar" else scale / z, 0))
+    points = probe.pick_points(take.images[4].astype(np.float32), np.ones(SIZE, bool), 800, 0)
+    found = camera.distance_of(stored, camera.between(stored, 4, 3, points), points)
+    assert found is not None
+    assert found.kind == kind
+    assert found.scale == pytest.approx(1 / scale if kind == "planar" else scale, rel=0.1)
+
+
+def test_a_spline_blurs_equally_wherever_it_is_asked() -> None:
+    y, x = np.mgrid[0:7, 0:9].astype(np.float32)
+    at = np.array([2.5, 3.1, 4.0, 4.8, 5.25], np.float32)
+    got = probe.spline(np.stack([x, y, x * x]), at, np.full(5, 3.5, np.float32))
+    np.testing.assert_allclose(got[0], at - 0.5, atol=1e-5)
+    np.testing.assert_allclose(got[1], 3, atol=1e-5)
+    np.testing.assert_allclose(got[2] - got[0] ** 2, 0.25, atol=1e-4)  # the width of the blur, squared
+
+
+def test_a_frame_left_out_and_a_frame_turned_around(take: Take, tmp_path: Path) -> None:
+    shorter = [(replace(r, number=i + 1, time=float(i)), a) for i, (r, a) in enumerate(frames(9)[:4] + frames(9)[5:])]
+    gap = load(open_source(write(tmp_path / "gap", shorter)))
+    told = tell_motion(gap, MOTION)
+    findings, apart = tell_time(gap, steps_of(gap, told), ())
+    assert fixes(findings) == {"frames.skipped"}
+    assert apart == {4}
+    ahead = [{**s, "motion": -take.stored[min(t + 1, 7)]["motion"]} for t, s in enumerate(take.stored)]
+    onward = replace(MOTION, direction="current->next")
+    steps = steps_of(replace(take, stored=ahead), tell_motion(replace(take, stored=ahead), onward))
+    assert [step.source for step in steps] == [step.frame - 1 for step in steps]
+    last = [{**s, "motion": s["motion"] * (-1 if t == 7 else 1)} for t, s in enumerate(take.stored)]
+    told = tell_motion(replace(take, stored=last), MOTION)
+    findings, apart = tell_time(take, steps_of(replace(take, stored=last), told), ())
+    assert fixes(findings) == {"motion.turned"}
+    assert apart == {7}
 
 
 def test_halton_is_recognised_from_shifts_with_phase_and_sign() -> None:
@@ -241,6 +290,22 @@ def test_normals_in_view_space_turned_and_encoded(take: Take) -> None:
     assert fixes(findings) == {"normal.space"}
 
 
+def test_planes_tell_world_from_view_where_the_camera_is_hardly_turned(tmp_path: Path) -> None:
+    about = Normal(files=("{frame}.exr",), channels=("X", "Y", "Z"))
+    take = load(open_source(write(tmp_path / "clip", frames(4, step=0.5))))
+    depths = {t: take.stored[t]["depth"][0] for t in take.full("normal")}
+    measured = normals_of(take, depths, tangents_of(take)[0])
+    assert measured is not None
+    assert measured.turning < 1
+    assert [f.state for f in tell_normals(measured, about)[0]] == ["fine"]
+    seen = [
+        {**s, "normal": np.einsum("ij,jhw->ihw", np.asarray(r.view)[:3, :3], s["normal"])} if "normal" in s else s
+        for s, r in zip(take.stored, take.records, strict=True)
+    ]
+    findings, _ = tell_normals(normals_of(replace(take, stored=seen), depths, tangents_of(take)[0]), about)
+    assert fixes(findings) == {"normal.space"}
+
+
 def test_normals_without_cameras_are_only_wrong_where_an_axis_is_mirrored(take: Take) -> None:
     about = Normal(files=("{frame}.exr",), channels=("X", "Y", "Z"))
     alone = replace(take, recorded=frozenset())
@@ -290,6 +355,9 @@ def test_display_colour_is_told_by_albedo_edges(take: Take) -> None:
     findings, found = tell_color(tone_of(encoded), about, 32)
     assert fixes(findings) == {"color.encoding"}
     assert found.encoding == "srgb"
+    hazy = Tone(slope=0.5, edges=5000, peak=16.0, clipped=0.0, middle=0.2)
+    assert fixes(tell_color(hazy, about, 32)[0]) == set()  # no display value is 16
+    assert fixes(tell_color(replace(hazy, peak=1.0), about, 32)[0]) == {"color.encoding"}
 
 
 def test_exposure_that_changes_all_over_the_picture(take: Take) -> None:
@@ -320,6 +388,8 @@ def test_dilated_vectors_reach_one_pixel_beyond_the_card() -> None:
     assert edges_of({0: wide}, {0: depth}).dilated == 1
     soft = (crisp + np.roll(crisp, 1, 2) + np.roll(crisp, -1, 2)) / 3
     assert edges_of({0: soft}, {0: depth}).mixed > 0.4
+    assert edges_of({0: wide}, {0: depth}, grain=1.0).count == 0  # vectors in steps of a pixel tell nothing
+    assert [f.code for f in tell_edges(Edges(0, 0.0, 0.0), Grain(0.0, False, 32), False)] == ["motion.edges"]
 
 
 def test_padding_is_cut_off(take: Take) -> None:

@@ -27,7 +27,7 @@ CLOSE = 8
 
 
 def draw(examined: Examined, path: Path) -> Path:
-    """One PNG: above, whole pictures, below, the place where the two readings differ most."""
+    """One PNG: above, whole pictures, below, the place where the second reading gains most."""
     take, told = examined.take, examined.told
     t = _frame(take)
     image, before = take.images[t].astype(np.float32), take.images[t - 1].astype(np.float32)
@@ -46,8 +46,8 @@ def draw(examined: Examined, path: Path) -> Path:
     columns = []
     overlays = [overlay(image, before, v) for v in (first, second)]
     errors = [np.abs(image - fetched(before, v)).mean(0) for v in (first, second)]
-    apart = np.abs(errors[0] - errors[1])
-    place = _worst(apart if apart.max() > 1e-3 else errors[1])
+    gained = errors[0] - errors[1]
+    place = _most(gained if np.abs(gained).max() > 1e-3 else errors[1])
     for name, picture, error in zip(names, overlays, errors, strict=True):
         columns.append(_column(picture, place, f"{name}: error {np.minimum(error, 1).mean():.3f}"))
     with whole(path) as temporary:
@@ -81,7 +81,10 @@ def _camera(take: Take, t: int, told: Told, found: np.ndarray) -> np.ndarray:
     everything = np.arange(take.size[0] * take.size[1])
     pair = between(take, t, t - 1, everything[:1])
     field = camera_motion(take, pair, everything, told.blanks.depth).reshape(found.shape)
-    return field if told.lacks == "camera" else np.where(np.abs(found).max(0) == 0, field, 0)
+    if told.lacks == "camera":
+        return field
+    empty = (take.stored[t]["motion"] == told.blanks.code[:, None, None]).all(0)
+    return np.where(resampled(empty, take.size), field, 0)
 
 
 def _shift(pair: np.ndarray) -> np.ndarray:
@@ -108,11 +111,11 @@ def overlay(
     return np.stack([red, cyan, cyan], -1)
 
 
-def _worst(difference: np.ndarray) -> tuple[int, int, int, int]:
-    """The window (left, top, width, height) in which the two differ most."""
-    height, width = difference.shape
+def _most(gained: np.ndarray) -> tuple[int, int, int, int]:
+    """The window (left, top, width, height) in which most is gained."""
+    height, width = gained.shape
     w, h = max(width // CLOSE * 2, 8), max(height // CLOSE * 2, 8)
-    total = np.pad(np.minimum(difference, 1).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    total = np.pad(np.minimum(gained, 1).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     sums = total[h:, w:] - total[:-h, w:] - total[h:, :-w] + total[:-h, :-w]
     if sums.size == 0:
         return 0, 0, width, height
