@@ -3,8 +3,9 @@
 import sys
 import warnings
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -22,6 +23,7 @@ from framecast.fit import method_named
 from framecast.importers import describe, open_any, repairs, save
 from framecast.labels import command as labels
 from framecast.methods import METHODS
+from framecast.methods.larger import Unjittered
 from framecast.render.command import command as render
 from framecast.report import command as report
 from framecast.runtime import Mode
@@ -61,6 +63,7 @@ def upsample(
     fps: int | None = None,
     mode: Mode | None = None,
     format: Format | None = None,
+    jitter: Literal["zero"] | None = None,
     repair: bool = False,
     overwrite: bool = False,
     device: str = "cpu",
@@ -79,6 +82,7 @@ def upsample(
         fps: images out for each frame in; by default 2, or 1 with methods that make no frames.
         mode: interpolate waits for the next frame; extrapolate does not; mixed does half of each; pass makes no frames.
         format: exr (linear, half float), png (8 bits, as displayed) or mp4; by default exr, or mp4 by the name.
+        jitter: zero takes all frames as sampled at the centres of their pixels, whatever the clip says, and is content.
         repair: replace NaN and infinite pixels of the input, and say how many.
         overwrite: remove what is at OUT first.
         device: cpu, cuda, mps.
@@ -89,6 +93,9 @@ def upsample(
     rate = 1 if mode == "pass" else 2 if fps is None else fps
     job = Job(method, rate, mode, format or ("mp4" if out.suffix == ".mp4" else "exr"), scale)
     opened, replaced = mended(open_any(clip)) if repair else (open_any(clip), {})
+    if jitter == "zero":
+        opened = replace(opened, records=tuple(replace(record, jitter=(0.0, 0.0)) for record in opened.records))
+        warnings.simplefilter("ignore", Unjittered)
     made = run_upsample(
         opened,
         out,

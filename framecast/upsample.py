@@ -250,8 +250,8 @@ def _nothing_left_of_nothing(folder: Path) -> Iterator[None]:
 
 
 def _identity(clip: Clip) -> list[list[float]]:
-    """Changes when frames of the clip are added, removed or moved in time."""
-    return [[record.number, record.time] for record in clip.shown]
+    """Changes when frames of the clip are added, removed, or moved in time or inside their pixels."""
+    return [[record.number, record.time, *record.jitter] for record in clip.shown]
 
 
 def write_image(path: Path, image: Float[Tensor, "1 3 H W"]) -> None:

@@ -1,6 +1,7 @@
 """The main job through the command line: what is written, resumed, refused."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -12,7 +13,7 @@ from PIL import Image
 
 from framecast import exr
 from framecast.cli import main
-from framecast.clip import Clip, finish, open_clip, write_frame
+from framecast.clip import Clip, ClipError, finish, open_clip, write_frame
 from framecast.color import to_display
 from framecast.results import VERSION
 from framecast.upsample import Job, upsample
@@ -231,4 +232,16 @@ def test_a_warning_is_one_sentence_said_once(
     told = capsys.readouterr().err.strip().splitlines()
     assert len(told) == 1
     assert told[0].startswith("framecast: these frames are not jittered")
+    assert told[0].endswith("--jitter zero says so")
     assert exr.read(out / "0001.exr").size == (64, 96)
+
+
+@pytest.mark.filterwarnings("error:these frames are not jittered")
+def test_zero_jitter_can_be_said(disc_clip: Clip, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "large"
+    ask = ["upsample", str(disc_clip.path), "-o", str(out), "--method", "taau", "--scale", "2", "--jitter", "zero"]
+    assert main(ask) == 0
+    assert capsys.readouterr().err == ""
+    shaken = replace(disc_clip, records=tuple(replace(r, jitter=(0.25, -0.25)) for r in disc_clip.records))
+    with pytest.raises(ClipError, match="is not this job"):  # what was made with other sample positions is not gone on
+        upsample(shaken, out, Job("taau", 1, "pass", scale=2.0))

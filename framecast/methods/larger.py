@@ -5,13 +5,13 @@ import warnings
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from framecast.color import decode_srgb, encode_srgb, tonemap, untonemap
 from framecast.frame import SKY, Frame
-from framecast.resample import size_at
-from framecast.warp import disoccluded, fetch, inside
+from framecast.resample import enlarged_motion, foreground, phases, size_at
+from framecast.warp import disoccluded, fetch, inside, warp
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,8 @@ class Config:
 
 ELSEWHERE = 0.25
 """Render pixels a frame by which two surfaces beside each other move apart."""
+TORN = 1.0
+"""The same, from which on a vector of the one says nothing of what lies beside it."""
 NEARER = 0.05
 """Part of its depth by which what hid a surface was nearer."""
 
@@ -51,13 +53,20 @@ def require(frame: Frame, name: str, needs: tuple[str, ...]) -> None:
         )
 
 
+class Unjittered(UserWarning):
+    """Frames that say nothing of jitter, which is then taken as zero."""
+
+
 def warn_of_stillness(before: Tensor, now: Tensor, name: str) -> None:
     """Warns where neither of two frames after one another was jittered."""
     if not bool(before.any() | now.any()):
         warnings.warn(
-            f"these frames are not jittered, so every one of them samples a still scene at the same places, and {name} "
-            f"cannot show more than one frame holds; render with jitter (Halton (2, 3), see framecast.resample), or "
-            f"import the clip again with the jitter it was rendered with",
+            f"these frames are not jittered: (0, 0) is written for each of them, or nothing, which is taken as that. "
+            f"Every one samples a still scene at the same places then, and {name} cannot show more than one frame "
+            f"holds; render with jitter (Halton (2, 3), see framecast.resample). If they were jittered, write it: in "
+            f"clip.json, or by framecast import with the jitter in its settings (framecast doctor finds it). If they "
+            f"were not, --jitter zero says so",
+            Unjittered,
             stacklevel=3,
         )
 
@@ -81,6 +90,54 @@ def uncovered(
     before = fetch(torch.cat((depth_before, motion_before), 1), target)
     elsewhere = (before[:, 1:] - motion).abs().amax(1, keepdim=True) > ELSEWHERE
     return (covered & inside(target)) | (elsewhere & (before[:, :1] < frame.depth * (1 - NEARER)))
+
+
+def unseen(
+    frame: Frame, motion: Tensor, depth_before: Tensor, motion_before: Tensor, jitter_before: Tensor
+) -> Bool[Tensor, "b 1 h w"]:
+    """Pixels without history for methods that follow the nearest surface around: `uncovered` ones, and those that lie
+    or lay beside something fast. Arguments are those of `uncovered`."""
+    assert frame.depth is not None
+    hidden = uncovered(frame, motion, depth_before, motion_before, jitter_before)
+    beside = torch.cat(foreground(depth_before, motion_before), 1)
+    passed = fetch(beside, motion + (frame.jitter - jitter_before)[:, :, None, None])
+    return hidden | torn(frame.depth, motion) | in_front(passed, frame.depth, motion)
+
+
+def torn(depth: Float[Tensor, "b 1 h w"], motion: Float[Tensor, "b 2 h w"]) -> Bool[Tensor, "b 1 h w"]:
+    """Pixels beside something nearer that moves by another pixel and more.
+
+    Their history is not to be had: the vector of the nearest surface leads to what lay beside it then, which was
+    something else, and on the way of their own vector that thing's edge has left its colours.
+    """
+    return in_front(torch.cat(foreground(depth, motion), 1), depth, motion)
+
+
+def in_front(near: Float[Tensor, "b 3 h w"], depth: Tensor, motion: Tensor) -> Bool[Tensor, "b 1 h w"]:
+    """Where depth and vector of something near are those of a nearer thing that moves otherwise by `TORN`."""
+    return ((near[:, 1:] - motion).abs().amax(1, keepdim=True) > TORN) & (near[:, :1] < depth * (1 - NEARER))
+
+
+def settled(
+    frame: Frame,
+    added: Float[Tensor, "b c H W"],
+    before: Float[Tensor, "b c H W"],
+    still: Float[Tensor, "b 1 H W"],
+    scale: float,
+) -> Float[Tensor, "b c H W"]:
+    """What a network adds to an accumulated image: where that stands still the mean of what it made of all those
+    frames, newer ones counting more, complete after two periods of the jitter; elsewhere what it made of this one.
+
+    Args:
+        before: the same of the last frame.
+        still: frames since a pixel moved or changed.
+    """
+    assert frame.depth is not None
+    assert frame.motion is not None
+    motion = where(frame.reset, torch.zeros_like(frame.motion), frame.motion)
+    large = enlarged_motion(foreground(frame.depth, motion)[1], (added.shape[-2], added.shape[-1]), frame.jitter)
+    share = (2 - still / phases(scale)).clamp(0, 1) * 2 / (still + 2)
+    return (1 - share) * warp(before, large) + share * added
 
 
 def output_size(frame: Frame, scale: float) -> tuple[int, int]:

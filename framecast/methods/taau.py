@@ -15,6 +15,8 @@ Differs: alpha is not fixed. Each pixel keeps the sum of the confidences of its 
          ones they take about those 16 frames. On a still checker of display pixels at twice the size, of which every
          frame shows one colour alone, no pixel changes by 1/255 after 64 frames (tests/test_taau.py); a box of the
          frame's own neighbourhood makes it jump between both colours, by 0.8 of 1.
+         Beside what moves by other pixels there is no history (`larger.unseen`): the vector of the nearest surface
+         leads to what lay beside that thing then.
 Needs:   color, depth, motion
 Modes:   pass
 State:   the accumulated image, its confidence and how long it stood still at display size; depth, motion and the
@@ -30,7 +32,7 @@ from torch import Tensor, nn
 from framecast.color import tonemap, untonemap
 from framecast.frame import Frame
 from framecast.methods.filters import bounded_lanczos
-from framecast.methods.larger import SAME, TWICE, Config, output_size, require, uncovered, warn_of_stillness, where
+from framecast.methods.larger import SAME, TWICE, Config, output_size, require, unseen, warn_of_stillness, where
 from framecast.methods.mobfgsr import present
 from framecast.resample import (
     Box,
@@ -172,7 +174,7 @@ def reprojected(frame: Frame, state: History, color: Tensor, nearest: Tensor, sc
     motion = where(frame.reset, torch.zeros_like(motion), motion)
     # From where this frame's samples lie to where the same points lie between the samples of the frame before.
     between = (frame.jitter - state.jitter)[:, :, None, None]
-    hidden = uncovered(frame, motion, state.depth, state.motion, state.jitter) | frame.reset[:, None, None, None]
+    hidden = unseen(frame, motion, state.depth, state.motion, state.jitter) | frame.reset[:, None, None, None]
     moved = foreground(depth, motion)[1]
     large = pick(moved, nearest) * scale
     lost = pick(hidden.float(), nearest) + (~inside(large)).float() > 0
