@@ -19,7 +19,7 @@ NAMES = [name for name in sorted(METHODS) if tuple(METHODS[name]().modes) == ("p
 TEMPORAL = [name for name in NAMES if METHODS[name]().history != 1]
 EACH = [(name, scale) for name in NAMES for scale in METHODS[name]().scales]  # type: ignore[union-attr]
 LEARNED = {name for name in NAMES if any(True for _ in METHODS[name]().parameters())}
-"""Networks: what they make of a picture is measured (docs/results/super-resolution.md) and no law."""
+"""Networks: what they make of a picture in motion is measured (docs/results/super-resolution.md) and no law."""
 LAWFUL = [(name, scale) for name, scale in EACH if name not in LEARNED]
 
 Picture = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
@@ -241,7 +241,7 @@ def test_frames_without_jitter_are_spoken_of_once_there_are_two(name: str, recwa
 TEMPORAL_EACH = [(name, scale) for name, scale in LAWFUL if name in TEMPORAL]
 
 
-@pytest.mark.parametrize(("name", "scale"), TEMPORAL_EACH)
+@pytest.mark.parametrize(("name", "scale"), [(name, scale) for name, scale in EACH if name in TEMPORAL])
 def test_a_still_picture_gets_better_and_then_stays(name: str, scale: float) -> None:
     """The error falls with the number of frames; after two periods of the jitter, and no fewer than 64 frames, no
     pixel changes by 1/255 in a whole period."""
@@ -251,7 +251,7 @@ def test_a_still_picture_gets_better_and_then_stays(name: str, scale: float) -> 
     images = played(method_named(name, scale), [shot(t, scale, size=small) for t in range(settled + period)])
     right = truth(0, scale, size=small)
     errors = [error(images[n - 1], right) for n in (1, max(period // 4, 4), settled)]
-    assert errors[1] < 0.8 * errors[0]
+    assert errors[1] < (1 if name in LEARNED else 0.8) * errors[0]
     assert errors[2] < errors[1]
     late = torch.stack(images[settled:])[..., 2:-2, 2:-2]
     assert (late.amax(0) - late.amin(0)).max() < 1 / 255

@@ -52,7 +52,7 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "taa": TAA,
     "taau": TAAU,
     "fsr2": FSR2,
-    "nsrr": lambda: shipped("nsrr", NSRR(nsrr.FAST)),
+    "nsrr": lambda: shipped("nsrr", NSRR(nsrr.STEADY)),
     "mnss": lambda: shipped("mnss", MNSS()),
 }
 

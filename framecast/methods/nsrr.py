@@ -13,13 +13,16 @@ Differs: Samples lie where the renderer took them: the jitter of every frame is 
          Colour is x / (1 + max) under the sRGB curve; the paper's images are not HDR, reimplementations use YCbCr.
          Depth enters in [1/2, 1], so that a sample is never mistaken for nothing.
          The network adds to an image that it sees (`Config.residual`): the mean of the samples of all frames under the
-         same weights, or what TAAU makes (`Config.accumulated`), which knows more than five frames. The paper's network
-         makes the image from nothing.
+         same weights, or what TAAU makes (`Config.accumulated`), which knows more than five frames and ships. The
+         paper's network makes the image from nothing.
+         Where TAAU's image stands still, what is added to it is the mean over the frames, complete after two periods of
+         the jitter; that of five frames changes with every phase. It fades to one half as that image becomes exact.
          Motion is accumulated surface by surface, as in ExtraNet. Features of earlier frames are kept, not made again.
          The loss is 1 - SSIM + 5 L1, without the differences in VGG features, whose weights the package does not have.
 Needs:   color, depth, motion
 Modes:   pass
-State:   samples, features and accumulated motion of the last four frames; what TAAU keeps where it is asked
+State:   samples, features and accumulated motion of the last four frames; where TAAU is asked what it keeps, and what
+         was added to its image
 """
 
 from collections.abc import Sequence
@@ -33,12 +36,20 @@ from framecast.color import encode_srgb, tonemap
 from framecast.frame import Frame
 from framecast.losses import difference
 from framecast.methods import larger
-from framecast.methods.larger import WHITE, decoded, encoded, nearness, require, warn_of_stillness
+from framecast.methods.larger import WHITE, decoded, encoded, nearness, require, settled, warn_of_stillness
 from framecast.methods.reproject import chosen, steps
 from framecast.methods.taau import TAAU, History
 from framecast.nets import padded
 from framecast.recipe import Recipe
-from framecast.resample import enlarge, nearest_sample, place, positions, size_at, tent
+from framecast.resample import (
+    enlarge,
+    nearest_sample,
+    phases,
+    place,
+    positions,
+    size_at,
+    tent,
+)
 from framecast.warp import chain, pick
 
 PAST = 4
@@ -98,6 +109,8 @@ class State:
     past: tuple[Past, ...]
     history: History | None = None
     """What TAAU knows, where the network adds to its image."""
+    added: Float[Tensor, "b 3 H W"] | None = None
+    """What was added to that image, under the sRGB curve."""
 
 
 for _kind in (Past, State):
@@ -180,7 +193,10 @@ class NSRR(nn.Module):
         )
         known = torch.zeros_like(frame.reset)
         nothing = Past(color, shown, features, depth, still, frame.time, frame.jitter, known)
-        return State((nothing,) * PAST, None if self.taau is None else self.taau.start(frame))
+        if self.taau is None:
+            return State((nothing,) * PAST)
+        history = self.taau.start(frame)
+        return State((nothing,) * PAST, history, torch.zeros_like(history.color))
 
     def forward(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 H W"], State]:
         """The frame at display size, and the state with it as the newest of the past.
@@ -193,7 +209,11 @@ class NSRR(nn.Module):
         warn_of_stillness(torch.where(newest.known[:, None], newest.jitter, 1.0), frame.jitter, "nsrr")
         now, past = self.look(frame), self.moved(frame, state)
         base, history = self.accumulate(frame, state.history)
-        return decoded(self.predict(now, past, base)), State((now, *past[:-1]), history)
+        image, added = self.predict(now, past, base), None
+        if base is not None and history is not None and state.added is not None:
+            added = settled(frame, image - base, state.added, history.still, self.config.scale)
+            image = base + added * (1 - history.still / (2 * phases(self.config.scale))).clamp(min=0.5)
+        return decoded(image), State((now, *past[:-1]), history, added)
 
     def accumulate(
         self, frame: Frame, history: History | None
