@@ -12,8 +12,9 @@ from torch.utils._pytree import tree_leaves
 from framecast.frame import Frame, concatenate, pixel_grid
 from framecast.losses import difference
 from framecast.methods.larger import encoded
-from framecast.methods.mnss import MNSS, Config, State, loss, moved, shown
+from framecast.methods.mnss import MNSS, Config, loss, moved, shown
 from framecast.nets import multiply_accumulates, parameters
+from framecast.resample import at_samples
 
 TINY = Config(inner=4, joint=2)
 
@@ -63,12 +64,15 @@ def test_the_image_is_read_where_the_samples_were_taken() -> None:
 def test_the_last_image_lands_on_the_frame(speed: float) -> None:
     """Jitter of neither frame matters: images have none."""
     image = torch.cat((truth(3, speed), torch.full((1, 1, *SIZE), 0.7)), 1)
-    state = State(image, torch.tensor([3.0]), torch.zeros(1, 2), torch.tensor([True]))
-    found, known = moved(jittered(4, speed=speed), state, SIZE)
+    last = jittered(3, speed=speed)
+    state = MNSS(TINY).start(last)
+    state = replace(state, image=image, depth=last.depth, motion=last.motion, known=torch.tensor([True]))
+    found, known, still = moved(jittered(4, speed=speed), state, SIZE)
     inner = (..., slice(4, -4), slice(12, -4))
     torch.testing.assert_close(found[:, :3][inner], truth(4, speed)[inner], atol=0.01, rtol=0)
     assert bool((known[inner] == 1).all())
     assert bool((known[..., : max(0, int(2 * speed) - 1)] == 0).all())
+    assert bool((still == (speed == 0)).all())
 
 
 def test_a_sample_changes_the_pixels_around_it_alone() -> None:
@@ -93,6 +97,23 @@ def test_what_stands_still_gets_better_with_every_round_of_jitter() -> None:
     first, once, twice = ((images[k] - truth(0, 0.0))[inner].abs().mean() for k in (0, 3, 7))
     assert once < 0.7 * first
     assert twice <= 1.05 * once
+
+
+def test_what_stands_still_comes_to_rest() -> None:
+    """The networks themselves do not: with weights that shift every image, the state would run away."""
+    method = MNSS(TINY).eval()
+    nn.init.constant_(method.second[4].bias, 0.01)  # type: ignore[arg-type]
+    images = run(method, [jittered(t, speed=0.0) for t in range(70)])
+    torch.testing.assert_close(images[69], images[66], atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("light", [0.5, 2.0])
+def test_what_came_to_rest_follows_a_change_of_light(light: float) -> None:
+    frames = [jittered(t, speed=0.0) for t in range(90)]
+    lit = [replace(f, color=f.color * light) for f in frames[70:]]  # type: ignore[operator]
+    images = run(MNSS(TINY).eval(), [*frames[:70], *lit])
+    right = light * images[69]
+    assert (images[-1] - right).abs().mean() < 0.2 * (images[69] - right).abs().mean()
 
 
 def test_history_with_the_wrong_motion_is_worse_than_none() -> None:

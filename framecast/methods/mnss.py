@@ -10,6 +10,10 @@ Follows: the stages of the published text: the last image and its depth reprojec
          convolution for the samples, 165.
 Differs: Widths of the published network are not to be had, so those of 2021 stand in for them, at twice the
          size instead of three times.
+         What was uncovered is asked of depth and vectors (`larger.unseen`) before the map is: there is no history.
+         What stands still is the mean of the images that networks made of it, complete after two periods of the jitter;
+         the recurrent network by itself goes on to change with every phase. Where frames come to differ from those that
+         the mean is made of, it starts anew.
          Any jitter instead of a cycle over the display pixels: a sample covers the pixels around it by their distance.
          The map is a sigmoid, as in a public reimplementation; in 2021 it was a hyperbolic tangent.
          The blending network adds to the image that it sees. No enhancement network.
@@ -18,7 +22,7 @@ Differs: Widths of the published network are not to be had, so those of 2021 sta
          The loss is 1 - SSIM + 5 L1 of every frame, and 5 L1 of the smooth samples; VGG features are left out.
 Needs:   color, depth, motion
 Modes:   pass
-State:   the last image and its depth, at display size
+State:   the last image and its depth, at display size; the frame's depth and vectors, and for how long it stood still
 """
 
 from collections.abc import Sequence
@@ -32,7 +36,8 @@ from torch import Tensor, nn
 from framecast.color import decode_srgb, encode_srgb, tonemap
 from framecast.frame import Frame
 from framecast.losses import difference
-from framecast.methods.larger import WHITE, decoded, encoded, nearness, require, warn_of_stillness
+from framecast.methods.larger import WHITE, decoded, encoded, nearness, require, unseen, warn_of_stillness
+from framecast.methods.mobfgsr import present
 from framecast.methods.reproject import chosen, steps
 from framecast.recipe import Recipe
 from framecast.resample import (
@@ -41,18 +46,27 @@ from framecast.resample import (
     enlarge,
     enlarged_motion,
     foreground,
+    moments,
+    nearest_sample,
+    phases,
     place,
     positions,
     size_at,
     tent,
 )
-from framecast.warp import inside
+from framecast.warp import inside, pick
 
 TRUST = 2.0
 """What the map of trust starts from in training, before the sigmoid: 0.88."""
 
 FRESH = 0.8
 """Weight of a new sample against the history around it, at the start of training."""
+
+STILL = 1e-3
+"""Motion in pixels of the frame below which a pixel stands still."""
+
+CHANGED = 0.02
+"""Difference as displayed, on smooth surfaces, from which on what stands still counts as changed."""
 
 
 @dataclass(frozen=True)
@@ -68,18 +82,34 @@ class Config:
 
 
 @dataclass(frozen=True)
+class Rest:
+    """For how long the frame's pixels stood still. Colours are means of 3 x 3 pixels, which jitter hardly changes."""
+
+    frames: Float[Tensor, "b 1 h w"]
+    """Since the pixel moved or changed."""
+    recent: Float[Tensor, "b 3 h w"]
+    """Of about the last eight frames."""
+    base: Float[Tensor, "b 3 h w"]
+    """Of those that the image is made of."""
+
+
+@dataclass(frozen=True)
 class State:
     """The last image."""
 
     image: Float[Tensor, "b 4 H W"]
     """Tone-mapped colour, and depth as `nearness` encodes it."""
+    rest: Rest
+    depth: Float[Tensor, "b 1 h w"]
+    motion: Float[Tensor, "b 2 h w"]
     time: Float[Tensor, " b"]
     jitter: Float[Tensor, "b 2"]
     known: Bool[Tensor, " b"]
     """False before the first frame."""
 
 
-torch.export.register_dataclass(State)
+for _kind in (Rest, State):
+    torch.export.register_dataclass(_kind)
 
 
 @dataclass(frozen=True)
@@ -92,6 +122,7 @@ class Made:
     """The frame's samples, made smooth with the history around them; tone-mapped."""
     depth: Float[Tensor, "b 1 H W"]
     """As `nearness` encodes it."""
+    rest: Rest
 
 
 def block(inputs: int, inner: int, outputs: int) -> nn.Sequential:
@@ -143,7 +174,9 @@ class MNSS(nn.Module):
         assert frame.depth is not None
         size = size_at((frame.depth.shape[-2], frame.depth.shape[-1]), self.config.scale)
         image = frame.depth.new_zeros(frame.depth.shape[0], 4, *size)
-        return State(image, frame.time, frame.jitter, torch.zeros_like(frame.reset))
+        motion, depth = torch.zeros_like(present(frame.motion)), torch.ones_like(frame.depth)
+        rest = Rest(torch.zeros_like(depth), *(torch.zeros_like(present(frame.color)) for _ in range(2)))
+        return State(image, rest, depth, motion, frame.time, frame.jitter, torch.zeros_like(frame.reset))
 
     def forward(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 H W"], State]:
         """The frame at display size, which is the next state.
@@ -164,8 +197,11 @@ class MNSS(nn.Module):
         with torch.autocast(frame.depth.device.type, enabled=False):
             seen = torch.cat((tonemap(frame.color).clamp(max=WHITE), nearness(frame.depth)), 1)
             current = enlarge(seen, size, frame.jitter, tent, 2).image
-            history, known = moved(frame, state, size)
-        trust = torch.sigmoid(self.trust((shown(current) - shown(history)).abs()).float()) * known
+            history, known, still = moved(frame, state, size)
+            rest, *both = rested(state.rest, shown(seen)[:, :3], still, phases(self.config.scale))
+            share, same = pick(torch.cat(both, 1), nearest_sample(small, size, frame.jitter)).split(1, 1)
+            before = shown(history)[:, :3]
+        trust = torch.sigmoid(self.trust((shown(current) - shown(history)).abs()).float()) * known * same
         repaired = current + trust * (history - current)
         history = at_samples(repaired[:, :3], small, frame.jitter)
         smooth = self.smooth(torch.cat((seen[:, :3], history), 1)).float()
@@ -175,28 +211,58 @@ class MNSS(nn.Module):
             canvas = shown(repaired + cover * (values - repaired))
         both = torch.cat((canvas, shown(current)), 1)
         added = self.second(torch.cat((both, self.first(both)), 1)).float()
-        return Made(canvas[:, :3] + added, smooth, current[:, 3:])
+        image = (1 - share) * before + share * (canvas[:, :3] + added)
+        return Made(image, smooth, current[:, 3:], rest)
 
 
 def kept(made: Made, frame: Frame) -> State:
     """What the next frame sees of an image."""
     image = decode_srgb(made.image.clamp(0, 1)).clamp(max=WHITE)
-    return State(torch.cat((image, made.depth), 1), frame.time, frame.jitter, torch.ones_like(frame.reset))
+    motion, known = present(frame.motion), torch.ones_like(frame.reset)
+    motion = chosen(frame.reset, torch.zeros_like(motion), motion)
+    image = torch.cat((image, made.depth), 1)
+    return State(image, made.rest, present(frame.depth), motion, frame.time, frame.jitter, known)
 
 
 def moved(
     frame: Frame, state: State, size: tuple[int, int]
-) -> tuple[Float[Tensor, "b 4 H W"], Float[Tensor, "b 1 H W"]]:
-    """The last image where the frame shows its content, and 1 where there was any."""
+) -> tuple[Float[Tensor, "b 4 H W"], Float[Tensor, "b 1 H W"], Bool[Tensor, "b 1 h w"]]:
+    """The last image where the frame shows its content, 1 where it showed that, and which small pixels stand still."""
     assert frame.depth is not None
     motion = steps(frame, state.time, frame.jitter)
-    _, motion = foreground(frame.depth, chosen(frame.reset, torch.zeros_like(motion), motion))
+    motion = chosen(frame.reset, torch.zeros_like(motion), motion)
+    hidden = unseen(frame, motion, state.depth, state.motion, state.jitter)
+    _, motion = foreground(frame.depth, motion)
+    seen = inside(motion) & ~hidden & (state.known & ~frame.reset)[:, None, None, None]
+    still = seen & (motion.abs().amax(1, keepdim=True) < STILL)
+    nearest = nearest_sample((motion.shape[-2], motion.shape[-1]), size, frame.jitter)
     motion = enlarged_motion(motion, size, frame.jitter)
-    known = inside(motion) & (state.known & ~frame.reset)[:, None, None, None]
     across = torch.tensor([2 / size[1], 2 / size[0]], device=motion.device)
     grid = centres(size, motion.new_zeros(1, 2)) + motion.movedim(1, -1) * across
     image = F.grid_sample(state.image, grid, mode="bicubic", padding_mode="border", align_corners=False)
-    return image.clamp(0, WHITE), known.float()
+    known = pick(seen, nearest) & inside(motion)
+    return torch.where(pick(still, nearest), state.image, image.clamp(0, WHITE)), known.float(), still
+
+
+def rested(
+    before: Rest, color: Float[Tensor, "b 3 h w"], still: Bool[Tensor, "b 1 h w"], period: int
+) -> tuple[Rest, Float[Tensor, "b 1 h w"], Float[Tensor, "b 1 h w"]]:
+    """How long pixels stand still with this frame, what its image counts against those before, 0 to 1, and 0 where
+    their history is of another light, else 1.
+
+    Args:
+        color: of the frame, tone-mapped under the sRGB curve.
+        still: pixels that show what they showed, and do not move.
+        period: frames of the jitter.
+    """
+    mean, deviation = moments(color)
+    recent = before.recent + (mean - before.recent) / (before.frames + 1).clamp(max=8)
+    limit = CHANGED + deviation * (0.25 + 1 / (before.frames + 1))  # jitter moves means, those of few frames most
+    same = ~still | ((recent - before.base).abs() < limit).all(1, keepdim=True)
+    frames = torch.where(still & same, before.frames + 1, 0.0)
+    share = (2 - frames / period).clamp(0, 1) * 2 / (frames + 2)
+    rest = Rest(frames, torch.where(frames > 0, recent, mean), before.base + share * (mean - before.base))
+    return rest, share, same.float()
 
 
 def shown(image: Float[Tensor, "b 4 H W"]) -> Float[Tensor, "b 4 H W"]:
