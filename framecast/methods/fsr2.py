@@ -13,7 +13,12 @@ Differs: No exposure, reactive or transparency masks, no divergence of motion, n
          resolution, takes slanted floors of small frames for edges; twice the surface's own slope is allowed, too.
          Weights are not limited to 12 samples where nothing moves, and what has been still for two periods of the
          jitter stays as long as coarse brightness does: published, a still picture goes on to shimmer.
-         History read between pixels loses weight, because that blurs it.
+         History read between pixels loses weight, because that blurs it; not where it is locked.
+         Beside what moves by other pixels there is no history (`larger.torn`): reconstructed depth is that of the
+         nearest surface around, which hides nothing there.
+         A lock holds all display pixels nearest to its sample: the one that contains it is, in motion, spread out and
+         lost before the next sample meets the feature. For the same reason samples far from a pixel do not lower the
+         weight of its history. A wire thinner than a display pixel keeps most of its contrast (tests/test_fsr2.py).
 Needs:   color, depth, motion
 Modes:   pass
 State:   the accumulated image, its weight, locks and four frames of brightness at display size
@@ -29,7 +34,7 @@ from torch import Tensor, nn
 from framecast.color import encode_srgb, luminance, tonemap, untonemap
 from framecast.frame import Frame
 from framecast.methods.filters import bounded_lanczos
-from framecast.methods.larger import TWICE, Config, output_size, require, warn_of_stillness, where
+from framecast.methods.larger import TWICE, Config, output_size, require, torn, warn_of_stillness, where
 from framecast.methods.mobfgsr import present
 from framecast.resample import (
     Box,
@@ -183,7 +188,7 @@ class Now:
     luma: Float[Tensor, "b 1 H W"]
     coarse: Float[Tensor, "b 1 H W"]
     lock: Bool[Tensor, "b 1 H W"]
-    """Where a lock begins: the pixel that contains the sample of a ridge."""
+    """Where a lock begins: the pixels nearest to the sample of a ridge."""
     motion: Float[Tensor, "b 2 H W"]
     hidden: Float[Tensor, "b 1 H W"]
     """1 where history shows something else, 0 where it can be used."""
@@ -195,13 +200,13 @@ def enlarged(frame: Frame, scale: float) -> Now:
     luma, mapped = brightness(color), to_ycocg(tonemap(color))
     nearest = nearest_sample((color.shape[-2], color.shape[-1]), size, frame.jitter)
     motion = where(frame.reset, torch.zeros_like(present(frame.motion)), present(frame.motion))
+    beside = torn(present(frame.depth), motion)
     depth, motion = foreground(present(frame.depth), motion)
     soft = enlarge(torch.cat((mapped, mapped * mapped), 1), size, frame.jitter, lambda x: torch.exp(-2.5 * x * x), 3)
     mean, square = soft.image.split(3, 1)
     box = neighbourhood(mapped)
     narrow = enlarge(luma, size, frame.jitter, lambda x: lanczos(x * scale).clamp(min=0), 3)
-    inner = enlarge(luma, size, frame.jitter, lambda x: (x.abs() * scale < 0.5).to(x.dtype) + 1e-6, 1).peak > 0.5
-    lost = pick(hidden_before(depth, motion), nearest)
+    lost = pick(torch.maximum(hidden_before(depth, motion), beside.to(depth.dtype)), nearest)
     large = pick(motion, nearest) * scale
     gone = ~inside(large) | frame.reset[:, None, None, None]
     image = bounded_lanczos(mapped, size, frame.jitter)
@@ -213,7 +218,7 @@ def enlarged(frame: Frame, scale: float) -> Now:
         around=Box(pick(box.low, nearest), pick(box.high, nearest)),
         luma=(image[:, :1] * 255).round() / 255,
         coarse=coarse_brightness(luma, size),
-        lock=inner & pick(ridges(luma).float(), nearest).bool(),
+        lock=pick(ridges(luma), nearest),
         motion=large,
         hidden=torch.where(gone, 1.0, lost),
     )
@@ -249,8 +254,9 @@ def accumulate(frame: Frame, state: History, scale: float) -> tuple[Float[Tensor
     outside = ((clamped - history).abs().amax(1, keepdim=True) > 1e-4) & (trust < 1)
     believed = clamped + trust * (history - clamped)
     fraction = now.motion - now.motion.floor()
-    weight = weight * (1 - BLUR * (2 * fraction * (1 - fraction)).sum(1, keepdim=True)) * (1 - now.hidden)
-    limited = torch.minimum(weight, now.weight * (10 - 9 * (speed / 20).clamp(max=1)))
+    blurred = BLUR * (1 - locked) * (2 * fraction * (1 - fraction)).sum(1, keepdim=True)
+    weight = weight * (1 - blurred) * (1 - now.hidden)
+    limited = torch.minimum(weight, 10 - 9 * (speed / 20).clamp(max=1))
     weight = torch.where(speed > STILL, limited, weight)
     weight = torch.where(outside, torch.minimum(weight, 1 + trust * (weight - 1)), weight)
 
