@@ -15,6 +15,9 @@ from framecast.importers.settings import NAME, Cameras, write_settings
 CAMERAS = "cameras.json"
 """File of the recorded cameras, beside the settings that name it."""
 
+GUESSED = "vectors were read as"
+"""Beginning of what importers say when they took the reading that fits three pairs of frames."""
+
 Out = Annotated[Path, arg(aliases=["-o"])]
 
 
@@ -41,7 +44,8 @@ def command(
             temporary.write_text(json.dumps(posed(examined.cameras, report.settings.axes)), encoding="utf-8")
         written.append(str(out / CAMERAS))
         report = replace(report, settings=replace(report.settings, cameras=Cameras(file=CAMERAS)))
-    written.append(str(write_settings(report.settings, out / NAME)))
+    notes = tuple(n for n in report.settings.notes if not n.startswith(GUESSED))  # they were looked into by now
+    written.append(str(write_settings(replace(report.settings, notes=notes), out / NAME)))
     report = replace(report, written=tuple(written))
     print(json.dumps(report.json(), indent=1) if json_ else report.text())
     return int(report.verdict != "healthy")

@@ -76,10 +76,10 @@ def across(z: np.ndarray, v: np.ndarray, least: float) -> tuple[np.ndarray, np.n
 
 def alignments(take: Take, offsets: Sequence[int]) -> dict[int, tuple[float, int]]:
     """Correlation between where depth jumps in a frame and where the vectors of the file `offset` frames before do, and
-    in how many frames, by offset."""
+    in how many frames, by offset; depth as it is or widened as vectors may be, whichever fits best."""
     size = _reduced(take.size)
     depths = {
-        t: _jumps(relative(resampled(take.stored[t]["depth"][0], size))[None])
+        t: [_jumps(plane[None]) for plane in widened(relative(resampled(take.stored[t]["depth"][0], size)))]
         for t in take.pairs
         if "depth" in take.stored[t]
     }
@@ -90,13 +90,20 @@ def alignments(take: Take, offsets: Sequence[int]) -> dict[int, tuple[float, int
             vectors[s] = _jumps(np.stack([resampled(plane, size) for plane in np.nan_to_num(planes)]))
     out = {}
     for offset in offsets:
+        usable = [t for t in depths if t - offset in vectors and vectors[t - offset].std() > 0]
+        usable = [t for t in usable if depths[t][0].std() > 0]
         scores = [
-            float(np.corrcoef(step.ravel(), vectors[t - offset].ravel())[0, 1])
-            for t, step in depths.items()
-            if t - offset in vectors and step.std() > 0 and vectors[t - offset].std() > 0
+            [float(np.corrcoef(jumps.ravel(), vectors[t - offset].ravel())[0, 1]) for jumps in depths[t]]
+            for t in usable
         ]
-        out[offset] = (float(np.median(scores)), len(scores)) if scores else (0.0, 0)
+        out[offset] = (float(np.median(scores, 0).max()), len(scores)) if scores else (0.0, 0)
     return out
+
+
+def widened(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A depth image, and with what is small, or large, one pixel wider on every side."""
+    around = [np.roll(depth, (j, i), (0, 1)) for j in (-1, 0, 1) for i in (-1, 0, 1)]
+    return depth, np.minimum.reduce(around), np.maximum.reduce(around)
 
 
 def _reduced(size: tuple[int, int]) -> tuple[int, int]:

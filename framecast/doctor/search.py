@@ -29,6 +29,9 @@ SURE = 2.5
 RATIO = 1.05
 """Ratio of errors that makes a difference count."""
 
+PLAIN = 1.25
+"""Ratio of errors, without vectors and with them, that a reading needs to be taken in place of the claimed one."""
+
 EVEN = 1.15
 """Ratio of errors, the largest left out, that makes the next frame count in place of the previous one with the sign
 turned around: while everything moves evenly both say the same, and what is hidden in one of them must not decide."""
@@ -81,9 +84,10 @@ class Answer:
 
     @property
     def decided(self) -> bool:
-        """Whether the vectors explain anything at all."""
+        """Whether the vectors explain anything at all; a reading that hardly does overturns no claim."""
         ours, theirs, sure = margin(self.best, self.still, self.scene)
-        return sure >= SURE and theirs > RATIO * ours
+        as_claimed = self.best.reading.motion == self.claim.reading.motion
+        return sure >= SURE and theirs > (RATIO if as_claimed else PLAIN) * ours
 
 
 def fits(match: Match) -> bool:
