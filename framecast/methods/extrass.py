@@ -291,11 +291,20 @@ def loss(method: ExtraSS, frames: Sequence[Frame], targets: Float[Tensor, "b n 3
         if frame.color is not None and 0 < k >= len(frames) - 2:
             other = method.gather(frame, state, warped=True)
             image_of_it, others = method.predict(other, True)
-            apart = torch.stack([(a - b).float().abs().mean() for a, b in zip(features, others, strict=True)])
-            terms.append({**compared(image_of_it, other, encoded(target)), "temporal": 0.05 * apart.mean()})
+            terms.append({**compared(image_of_it, other, encoded(target)), "temporal": unlike(features, others)})
         state = kept(image, gathered, frame, state)
     names = {name for term in terms for name in term}
     return {name: torch.stack([term[name] for term in terms if name in term]).mean() for name in sorted(names)}
+
+
+def unlike(shaded: Sequence[Tensor], extrapolated: Sequence[Tensor]) -> Float[Tensor, ""]:
+    """How far the features of an extrapolated frame are from those of the same frame shaded, which they shall become.
+
+    Relative, and those of the shaded frame are given: were both free to move, they would meet at 0, where no image
+    can be made of them.
+    """
+    pairs = [(a.detach().float(), b.float()) for a, b in zip(shaded, extrapolated, strict=True)]
+    return 0.01 * torch.stack([(a - b).abs().mean() / a.abs().mean().clamp(min=1e-6) for a, b in pairs]).mean()
 
 
 def compared(image: Float[Tensor, "b 3 H W"], made: Gathered, truth: Float[Tensor, "b 3 H W"]) -> dict[str, Tensor]:
@@ -306,5 +315,5 @@ def compared(image: Float[Tensor, "b 3 H W"], made: Gathered, truth: Float[Tenso
 
 
 recipe = Recipe(
-    loss=loss, mode="alternate", shaded=4, truths=8, crop=(64, 64), batch=2, steps=1700, rate=7e-4, warmup=100
+    loss=loss, mode="alternate", shaded=4, truths=8, crop=(64, 64), batch=2, steps=620, rate=1e-3, warmup=50
 )
