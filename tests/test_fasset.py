@@ -1,6 +1,7 @@
 """FASSET: known sizes, two ways to render, what an untrained network shows, holes, history, any size, losses."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -149,6 +150,26 @@ def test_what_stands_still_stays_in_frames_in_between() -> None:
     frames = alternating(6, speed=0.0)
     images = run(fresh(), frames)
     torch.testing.assert_close(images[5], images[4], atol=1e-4, rtol=1e-4)
+
+
+def test_what_is_added_to_a_still_scene_comes_to_rest() -> None:
+    """It is the mean over all frames, of which one more changes less and less; frames in between show that mean."""
+    frames = [replace(f, jitter=torch.tensor([JITTERS[t % 4]])) for t, f in enumerate([shot(0.0, speed=0.0)] * 24)]
+    frames = [replace(f, time=torch.tensor([2.0 * t]), reset=torch.tensor([t == 0])) for t, f in enumerate(frames)]
+    method = fresh(stirred=0.05)
+    state, added = method.start(frames[0]), []
+    with torch.no_grad():
+        for frame in frames:
+            _, state = method(frame, state)
+            added.append(state.added)
+        between = unshaded(replace(frames[1], time=torch.tensor([47.0])))
+        base, aimed = method.extrapolate(between, state)
+        image, _ = method(between, state)
+    changes = [float((b - a).abs().mean()) for a, b in pairwise(added)]
+    assert max(changes[-4:]) < 0.2 * changes[0]
+    assert aimed.motion is not None
+    own = float((image - decode_log(base.image + added[-1])).abs().mean())
+    assert own < 0.2 * float((image - decode_log(base.image)).abs().mean())
 
 
 def inputs_of(method: FASSET, frames: list[Frame]) -> list[Tensor]:

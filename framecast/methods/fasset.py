@@ -19,12 +19,14 @@ Differs: Widths, which are not published, are ours: 0.27 million parameters, as 
          The pixel size is in pixels of the frame, not in parts of the image, so that what is learnt on small images
          holds for large ones. Features lie on samples, whose jitter is part of where they are read.
          The recurrent module is a gated unit of convolutions at an eighth of the size; what it keeps moves along.
-         Extrapolated frames leave no trace in the state. No batch normalisation, as batches are of two.
+         Extrapolated frames leave no trace in the state. Where a pixel stands still, the mean of what was added counts,
+         as in NSRR. No batch normalisation, as batches are of two.
          `loss` compares what is displayed, x / (1 + max) under the sRGB curve, and learns other sizes from the images
          of one: from every second sample of a frame, and from smaller truths.
 Needs:   color, depth, motion, albedo, metallic, normal; of the generated frame the same but color
 Modes:   extrapolate, pass
-State:   the last shaded frame (light, surfaces), what TAAU keeps, and the features that the recurrent module keeps
+State:   the last shaded frame (light, surfaces), what TAAU keeps, the features that the recurrent module keeps, and
+         what was added to the last image
 """
 
 from collections.abc import Sequence
@@ -41,7 +43,7 @@ from framecast.methods import larger
 from framecast.methods.fasset_network import Config, Network
 from framecast.methods.guided import Seen, extrapolated, guides
 from framecast.methods.reproject import chosen, light, steps, surface
-from framecast.methods.taau import TAAU, History
+from framecast.methods.taau import STIR, TAAU, History
 from framecast.nets import padded
 from framecast.recipe import Recipe
 from framecast.resample import (
@@ -79,6 +81,8 @@ class State:
     """Features of the recurrent module, at an eighth of the size of the frame."""
     gap: Float[Tensor, " b"]
     """Time between the last two shaded frames; 0 where there was one."""
+    added: Float[Tensor, "b 3 H W"]
+    """What was added to the image of the last shaded frame, in the log domain."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,8 @@ class Base:
     """The frame, or the last one warped, in the log domain."""
     mask: Float[Tensor, "b 1 h w"]
     """1 where the last shaded frame shows the surface."""
+    still: Float[Tensor, "b 1 H W"]
+    """Frames since what was accumulated moved or changed; 0 where nothing was."""
 
 
 torch.export.register_dataclass(State)
@@ -126,6 +132,12 @@ class FASSET(nn.Module):
         other.networks = self.networks
         return other
 
+    def _network(self, generated: bool) -> Network:
+        """That of a kind of frames."""
+        found = self.networks[generated and not self.config.shared]
+        assert isinstance(found, Network)
+        return found
+
     def start(self, frame: Frame) -> State:
         """The state before the first frame, which is `frame`: nothing is known.
 
@@ -136,8 +148,9 @@ class FASSET(nn.Module):
         assert frame.depth is not None
         batch, _, height, width = frame.depth.shape
         kept = frame.depth.new_zeros(batch, self.config.kept, -(-height // 8), -(-width // 8))
-        history = replace(self.taau.start(frame), depth=frame.depth, jitter=frame.jitter)
-        return State(last(frame), history, kept, torch.zeros_like(frame.time))
+        history = self.taau.start(frame)
+        history = replace(history, depth=frame.depth, jitter=frame.jitter, still=history.still - 1)
+        return State(last(frame), history, kept, torch.zeros_like(frame.time), torch.zeros_like(history.color))
 
     def forward(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 H W"], State]:
         """The frame at full size, and the state with it where it was shaded.
@@ -149,10 +162,11 @@ class FASSET(nn.Module):
         if frame.color is None:
             base, frame = self.extrapolate(frame, state)
             maps, _ = self.extract(frame, base, state, generated=True)
-            return self.render(maps, frame, base, generated=True), state
+            return self.render(maps, frame, base, state, generated=True)[0], state
         base, frame, history = self.accumulate(frame, state)
         maps, kept = self.extract(frame, base, state)
-        return self.render(maps, frame, base), State(last(frame), history, kept, frame.span)
+        image, added = self.render(maps, frame, base, state)
+        return image, State(last(frame), history, kept, frame.span, added)
 
     def require(self, frame: Frame, state: State) -> None:
         """Raises what `forward` does."""
@@ -174,36 +188,35 @@ class FASSET(nn.Module):
     def accumulate(self, frame: Frame, state: State) -> tuple[Base, Frame, History]:
         """What the network begins with for a shaded frame, and the frame with motion to the one before it."""
         with torch.no_grad(), torch.autocast(frame.time.device.type, enabled=False):
-            assert frame.color is not None
             frame = aimed(frame, state)
-            mask = seen(frame, state)
-            alone = self.enlarged(frame.color, frame)
-            if self.config.base != "accumulated":
-                assert frame.depth is not None
-                assert frame.motion is not None
-                kept = replace(state.history, depth=frame.depth, motion=frame.motion, jitter=frame.jitter)
-                nothing = torch.zeros_like(alone[:, :1])
-                return Base(alone, alone, nothing, encode_log(frame.color), mask), frame, kept
-            image, history = self.taau.accumulate(frame, state.history)
-            support = history.weight / (1 + history.weight)
-            return Base(encode_log(image), alone, support, encode_log(frame.color), mask), frame, history
+            assert frame.color is not None
+            mask, color, alone = seen(frame, state), encode_log(frame.color), self.enlarged(frame.color, frame)
+            if self.config.base == "accumulated":
+                image, history = self.taau.accumulate(frame, state.history)
+                support = history.weight / (1 + history.weight)
+                return Base(encode_log(image), alone, support, color, mask, history.still), frame, history
+            assert frame.depth is not None
+            assert frame.motion is not None
+            kept = replace(state.history, depth=frame.depth, motion=frame.motion, jitter=frame.jitter)
+            nothing = torch.zeros_like(alone[:, :1])
+            return Base(alone, alone, nothing, color, mask, nothing), frame, kept
 
     def extrapolate(self, frame: Frame, state: State) -> tuple[Base, Frame]:
         """What the network begins with for a frame to generate, and the frame with motion to the last shaded one."""
         with torch.no_grad(), torch.autocast(frame.time.device.type, enabled=False):
             frame = aimed(frame, state)
-            mask = seen(frame, state)
             if self.config.base == "warped":
                 found = warp(state.shaded.light, steps(frame, state.shaded.time, state.shaded.jitter))
             else:
                 found, _ = extrapolated(frame, state.shaded)
-            color = modulate(decode_log(found), surface(frame))
+            color, mask = modulate(decode_log(found), surface(frame)), seen(frame, state)
             alone = self.enlarged(color, frame)
-            if self.config.base != "accumulated":
-                return Base(alone, alone, torch.zeros_like(alone[:, :1]), encode_log(color), mask), frame
-            image, support = carried(frame, state.history, mask)
-            image = torch.where(support > 0, image, alone)
-            return Base(image, alone, support / (1 + support), encode_log(color), mask), frame
+            if self.config.base == "accumulated":
+                image, support, still = carried(frame, state.history, mask)
+                image = torch.where(support > 0, image, alone)
+                return Base(image, alone, support / (1 + support), encode_log(color), mask, still), frame
+            nothing = torch.zeros_like(alone[:, :1])
+            return Base(alone, alone, nothing, encode_log(color), mask, nothing), frame
 
     def enlarged(self, color: Float[Tensor, "b 3 h w"], frame: Frame) -> Float[Tensor, "b 3 H W"]:
         """A frame alone at full size, in the log domain."""
@@ -223,18 +236,22 @@ class FASSET(nn.Module):
         height, width = mask.shape[-2:]
         if self.config.base == "accumulated":
             x.append(at_samples(base.image, (height, width), frame.jitter) - base.color)
-        network = self.networks[generated and not self.config.shared]
-        maps, kept = network.extract(padded(torch.cat(x, 1), 8), padded(around, 8), moved(state.kept, frame))
+        maps, kept = self._network(generated).extract(
+            padded(torch.cat(x, 1), 8), padded(around, 8), moved(state.kept, frame)
+        )
         return maps[..., :height, :width], kept
 
     def render(
-        self, maps: Float[Tensor, "b c h w"], frame: Frame, base: Base, *, generated: bool = False
-    ) -> Float[Tensor, "b 3 H W"]:
-        """The image from features, linear."""
-        return decode_log(self.added(maps, frame, base, generated=generated))
+        self, maps: Float[Tensor, "b c h w"], frame: Frame, base: Base, state: State, *, generated: bool = False
+    ) -> tuple[Float[Tensor, "b 3 H W"], Float[Tensor, "b 3 H W"]]:
+        """The image from features, linear, and what was added to the one that the network began with."""
+        added = self.added(maps, frame, base, generated=generated)
+        if self.config.base == "accumulated":
+            added = larger.settled(frame, added, state.added, base.still, self.config.scale)
+        return decode_log(base.image + added), added
 
     def added(self, maps: Tensor, frame: Frame, base: Base, *, generated: bool = False) -> Float[Tensor, "b 3 H W"]:
-        """The image in the log domain."""
+        """What the network adds, in the log domain."""
         small, size = ((x.shape[-2], x.shape[-1]) for x in (maps, base.image))
         pixel = torch.tensor([small[1] / size[1], small[0] / size[0]], device=maps.device)
         known = [pixel[None, :, None, None].expand(len(maps), 2, *size)]
@@ -244,10 +261,8 @@ class FASSET(nn.Module):
         if self.config.offset:
             at = positions(small, size, frame.jitter)
             known.append(at.round() - at)
-        network = self.networks[generated and not self.config.shared]
-        values = network.render(maps, torch.cat(known, 1), frame.jitter)
-        image = base.image + values[:, :3]
-        return image + values[:, 3:] * difference if self.config.base == "accumulated" else image
+        values = self._network(generated).render(maps, torch.cat(known, 1), frame.jitter)
+        return values[:, :3] + values[:, 3:] * difference if self.config.base == "accumulated" else values
 
 
 def last(frame: Frame) -> Seen:
@@ -275,15 +290,17 @@ def seen(frame: Frame, state: State) -> Float[Tensor, "b 1 h w"]:
 
 def carried(
     frame: Frame, history: History, mask: Float[Tensor, "b 1 h w"]
-) -> tuple[Float[Tensor, "b 3 H W"], Float[Tensor, "b 1 H W"]]:
-    """The accumulated image where the frame shows its content, in the log domain, and its weight: 0 in holes."""
+) -> tuple[Float[Tensor, "b 3 H W"], Float[Tensor, "b 1 H W"], Float[Tensor, "b 1 H W"]]:
+    """The accumulated image where the frame shows its content, in the log domain; its weight, 0 in holes; and for how
+    many frames it stood still, 0 where it moves now."""
     assert frame.depth is not None
     assert frame.motion is not None
     small, size = ((x.shape[-2], x.shape[-1]) for x in (frame.depth, history.color))
     motion = enlarged_motion(foreground(frame.depth, frame.motion)[1], size, frame.jitter)
     shown = pick(mask, nearest_sample(small, size, frame.jitter)) * inside(motion)
+    still = history.still * shown * (motion.abs().amax(1, keepdim=True) < STIR)
     image = untonemap(from_ycocg(sharp_warp(history.color, motion)).clamp(0, 1))
-    return encode_log(image), warp(history.weight, motion) * shown
+    return encode_log(image), warp(history.weight, motion) * shown, still
 
 
 def moved(kept: Float[Tensor, "b k i j"], frame: Frame) -> Float[Tensor, "b k i j"]:
@@ -351,7 +368,7 @@ def shown(
     for frame in frames[:first]:
         if frame.color is not None:
             _, frame, history = method.accumulate(frame, state)
-            state = State(last(frame), history, state.kept, frame.span)
+            state = State(last(frame), history, state.kept, frame.span, state.added)
     for frame, target in zip(frames[first:], targets.unbind(1), strict=True):
         generated = frame.color is None
         if generated:
@@ -359,10 +376,10 @@ def shown(
         else:
             base, frame, history = method.accumulate(frame, state)
         maps, kept = method.extract(frame, base, state, generated=generated)
-        image = method.added(maps, frame, base, generated=generated)
+        image = base.image + method.added(maps, frame, base, generated=generated)
         found.append((image, target, F.interpolate(base.mask, (target.shape[-2], target.shape[-1]))))
         if not generated:
-            state = State(last(frame), history, kept, frame.span)
+            state = State(last(frame), history, kept, frame.span, state.added)
     return found
 
 
@@ -385,14 +402,14 @@ def terms(
 def coarser(frame: Frame, place: tuple[int, int]) -> Frame:
     """The frame as a renderer would have sampled it at half the size: of each 2 x 2 pixels one, at `place` (x, y)."""
     x, y = place
-    changes = {
+    changes: dict[str, Tensor | None] = dict.fromkeys(BUFFERS)
+    changes |= {
         name: image[..., y::2, x::2] / (2 if name.startswith("motion") else 1)
         for name in ("color", *GBUFFERS)
         if (image := getattr(frame, name)) is not None
     }
     jitter = (frame.jitter + torch.tensor([x - 0.5, y - 0.5], device=frame.jitter.device)) / 2
-    others = {name: None for name in BUFFERS if name not in changes}
-    return replace(frame, **others, **changes, jitter=jitter)
+    return replace(frame, **changes, jitter=jitter)  # type: ignore[arg-type]
 
 
 def smaller(images: Float[Tensor, "b n 3 H W"]) -> Float[Tensor, "b n 3 h w"]:
