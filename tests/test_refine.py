@@ -10,7 +10,7 @@ from torch import Tensor
 from framecast.frame import Frame, concatenate, unshaded
 from framecast.losses import census, charbonnier
 from framecast.methods.guided import GuidedWarp, guides
-from framecast.methods.refine import RefinedWarp, blended, followed, loss, shadows, shifted
+from framecast.methods.refine import MATCHED, RefinedWarp, blended, followed, loss, matched, shadows, shifted
 from framecast.nets import parameters
 from framecast.warp import warp
 
@@ -40,22 +40,52 @@ def trained(seed: int = 0) -> RefinedWarp:
     """A network whose flows are anything but 0."""
     torch.manual_seed(seed)
     method = RefinedWarp().eval()
+    assert method.network is not None
     for name, p in method.network.decoder.named_parameters():
         if name.endswith("3.weight"):
             torch.nn.init.normal_(p, std=0.5)
     return method
 
 
-def test_untrained_the_light_stays_where_the_guided_warp_left_it() -> None:
-    torch.manual_seed(0)
-    method, plain = RefinedWarp().eval(), GuidedWarp()
+def test_what_does_not_move_stays_where_the_guided_warp_left_it() -> None:
+    method, plain = RefinedWarp(MATCHED), GuidedWarp()
     frames = [shot(t, square=2.0, jitter=(0.1 * t, -0.2)) for t in (0.0, 2.0)]
     new = unshaded(shot(3.0, square=2.0, span=1.0))
     state = followed(frames[1], method.start(frames[0]))
-    with torch.no_grad():
-        found, _ = method(new, state)
-    wanted, _ = plain(new, plain.start(frames[1]))
-    torch.testing.assert_close(found, wanted)
+    found, _ = method(new, state)
+    torch.testing.assert_close(found, plain(new, plain.start(frames[1]))[0])
+
+
+def test_a_shadow_is_followed_without_training_and_an_untrained_network_changes_nothing() -> None:
+    torch.manual_seed(0)
+    frames, plain = moving_light(2.0), GuidedWarp()
+    truth = shadowed(3.0, speed=2.0).color
+    assert truth is not None
+    images = []
+    for method in (RefinedWarp(MATCHED), RefinedWarp()):
+        state = followed(frames[1], method.start(frames[0]))
+        with torch.no_grad():
+            images.append(method(frames[2], state)[0])
+    warped, _ = plain(frames[2], plain.start(frames[1]))
+    before, after = (float((image - truth).square().mean()) for image in (warped, images[0]))
+    assert after < 0.3 * before
+    torch.testing.assert_close(*images)
+
+
+def test_the_flow_found_is_the_flow_there_is() -> None:
+    """Soft spots that move by (2, -1) pixels between the newer frame and now; holes and stillness give none."""
+    y, x = torch.meshgrid(torch.arange(64.0), torch.arange(96.0), indexing="ij")
+
+    def spots(ago: float) -> Tensor:
+        u, v = x + 2 * ago, y - ago
+        return (torch.sin(u * 0.11) + torch.cos(v * 0.13 + u * 0.04)).expand(1, 3, 64, 96).contiguous()
+
+    known, ratio = torch.ones(1, 1, 64, 96), torch.tensor([3.0])
+    found = matched(spots(1), spots(3), known, ratio)
+    inner = found[..., 16:-16, 16:-16].flatten(2).median(2).values
+    torch.testing.assert_close(inner, torch.tensor([[-2.0, 1.0]]), atol=0.35, rtol=0)
+    assert float(matched(spots(1), spots(1), known, ratio).abs().max()) == 0
+    assert float(matched(spots(1), spots(3), 0 * known, ratio).abs().max()) == 0
 
 
 def test_the_right_flow_moves_the_shadow_and_leaves_the_tiles() -> None:
@@ -91,12 +121,13 @@ def test_reads_along_the_flow_are_those_of_warp() -> None:
 
 def test_the_network_has_four_sizes_and_knows_how_long_ago() -> None:
     network = trained().network
+    assert network is not None
     a, b = torch.rand(2, 1, 3, 32, 48)
-    rough = torch.rand(1, 1, 32, 48)
-    found, features = network(a, b, rough, torch.tensor([3.0]))
+    rough, start = torch.rand(1, 1, 32, 48), torch.full((1, 2, 32, 48), 1.5)
+    found, features = network(a, b, rough, torch.tensor([3.0]), start)
     assert found.shape == (1, 2, 32, 48)
     assert [tuple(f.shape[1:]) for f in features] == [(32, 4, 6), (24, 8, 12), (16, 16, 24)]
-    other, _ = network(a, b, rough, torch.tensor([2.0]))
+    other, _ = network(a, b, rough, torch.tensor([2.0]), start)
     assert float((found - other).detach().abs().max()) > 1e-4
     assert parameters(network) == 438_288
 
@@ -174,12 +205,12 @@ def test_the_loss_is_of_light_that_moves_and_gradients_reach_every_layer(monkeyp
     assert targets[0] is not None
     assert targets[1] is not None
     made = loss(method, still, targets[1][:, None])
-    assert made["charbonnier"].item() > 0.02  # our own shadows
+    assert made["charbonnier"].item() > 0.01  # our own shadows
     monkeypatch.setattr(
         "framecast.methods.refine.shadows", lambda size, when, sample: torch.ones(len(when), 1, 1, *size)
     )
     moving, calm = loss(method, frames, targets[0][:, None]), loss(method, still, targets[1][:, None])
-    assert calm["charbonnier"].item() < 0.002 < 0.02 < moving["charbonnier"].item()
+    assert calm["charbonnier"].item() < 0.002 < 0.01 < moving["charbonnier"].item()
     assert calm["census"].item() < 1e-4 < moving["census"].item()
     torch.stack(list(moving.values())).sum().backward()
     assert all(p.grad is not None for p in method.parameters())

@@ -47,6 +47,7 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "mobfgsr-quadratic": lambda: MobFGSR(MobFGSRConfig(motion="quadratic")),
     "extranet": lambda: shipped("extranet", ExtraNet(extranet.BETTER)),
     "extrass-warp": GuidedWarp,
+    "extrass-refined": lambda: RefinedWarp(refine.MATCHED),
     "bilinear": Bilinear,
     "lanczos": Lanczos,
     "taa": TAA,

@@ -6,9 +6,12 @@ Follows: section 4.2: the last two shaded frames, warped to the new one by its G
          left to move are shadows and reflections; at half size a small network ("FRNet") sees both and the roughness,
          and makes one flow that moves the newer one's light (Eq. 4); it is taken where base colour and normal are alike
          and where it differs (Eq. 5, 6); Charbonnier, census and census of features (Eq. 7 to 9).
-Differs: What moves is light without texture: a shadow that crosses a floor leaves the tiles where they are.
+Differs: The flow begins as one that is found without training (`matched`): coarse to fine, along it both lights agree,
+         and better than they do where they are. The network adds to it. From a flow of zero it learned nothing in 600
+         steps: where a shadow has moved by more than its edge is wide, no small change of the flow makes it better.
+         What moves is light without texture: a shadow that crosses a floor leaves the tiles where they are.
          The flow is enlarged, not the image: the light at full size is read along it, so that nothing is blurred, and a
-         flow of zero, with which training begins, changes nothing. Likeness (Eq. 6) is asked between both ends of it.
+         flow of zero changes nothing. Likeness (Eq. 6) is asked between both ends of it.
          Light is taken to move evenly: at each of its sizes the network sees features of the newer frame read along the
          flow, and of the older one along the flow times how much longer ago it was, alike where the flow is right.
          In training shadows of our own making pass over the samples, for those of the scenes touch few pixels.
@@ -32,7 +35,7 @@ from framecast.color import decode_log, demodulate, encode_log, modulate
 from framecast.frame import Frame
 from framecast.losses import census, charbonnier
 from framecast.methods.guided import Seen, after_cut, extrapolated, guides, require, seen
-from framecast.methods.reproject import chosen, steps, surface
+from framecast.methods.reproject import chosen, squared, steps, surface
 from framecast.nets import padded
 from framecast.recipe import Recipe
 from framecast.warp import chain, inside, warp
@@ -45,6 +48,18 @@ ALIKE, UNLIKE = 0.1, 0.1
 SIDE = 16
 """Channels of the side branch in residual blocks."""
 
+WINDOW = 9
+"""Pixels at half size, and at each coarser one, over which two lights are compared."""
+
+SIZES = 4
+"""Sizes at which they are, each half of the last; every size adds a pixel at most: 15 at half size in all."""
+
+FAR = 0.004
+"""What a flow has to win, in the logarithm of light, for each of its pixels."""
+
+SURE, LEAST = 0.7, 0.01
+"""Part of what two lights differ by that may be left along the flow, and by how much they differ at least."""
+
 FASTEST = 12.0
 """Pixels that a shadow of our own making moves between the newer frame and the new one, at most."""
 
@@ -55,8 +70,14 @@ class Config:
 
     scale: float = 1.0
     """Output size divided by input size."""
+    network: bool = True
+    """Without it the flow is the one that is found by matching."""
     widths: tuple[int, int, int, int] = (16, 24, 32, 48)
     """Channels at a quarter, an eighth, a sixteenth and a thirty-second of the frame."""
+
+
+MATCHED = Config(network=False)
+"""What needs no training."""
 
 
 @dataclass(frozen=True)
@@ -134,22 +155,26 @@ class FRNet(nn.Module):
         older: Float[Tensor, "b 3 h w"],
         roughness: Float[Tensor, "b 1 h w"],
         ratio: Float[Tensor, " b"],
+        start: Float[Tensor, "b 2 h w"],
     ) -> tuple[Float[Tensor, "b 2 h w"], tuple[Tensor, ...]]:
         """The flow to where the newer light has what belongs here, in pixels, and the decoder's features at three
         sizes, coarsest first. Sizes have to be multiples of 16.
 
         Args:
             ratio: how long ago the older light was, divided by how long ago the newer was.
+            start: the flow to which the network adds.
         """
         recent, past = self.look(newer, roughness), self.look(older, roughness)
         found = self.decoder[0](torch.cat((recent[3], past[3]), 1))
-        flow, features = found[:, :2].float(), [found[:, 2:]]
+        added, features = found[:, :2].float(), [found[:, 2:]]
         for each, a, b in zip(self.decoder[1:], recent[2::-1], past[2::-1], strict=True):
+            times = start.shape[-1] // a.shape[-1]
+            flow = F.avg_pool2d(start, times) / times + added
             moved = shifted(a, flow), shifted(b, flow * ratio[:, None, None, None])
             found = each(torch.cat((*moved, features[-1], flow), 1))
-            flow = 2 * F.interpolate(flow, scale_factor=2.0, mode="bilinear") + found[:, :2].float()
+            added = 2 * F.interpolate(added, scale_factor=2.0, mode="bilinear") + found[:, :2].float()
             features.append(found[:, 2:])
-        return flow, tuple(features[:3])
+        return start + added, tuple(features[:3])
 
 
 def shifted(image: Float[Tensor, "b c h w"], flow: Float[Tensor, "b 2 h w"]) -> Float[Tensor, "b c h w"]:
@@ -159,6 +184,52 @@ def shifted(image: Float[Tensor, "b c h w"], flow: Float[Tensor, "b 2 h w"]) -> 
     y = (torch.arange(height, device=flow.device)[:, None] + 0.5 + flow[:, 1]) * (2 / height) - 1
     grid = torch.stack((x, y), -1).to(image.dtype)
     return F.grid_sample(image, grid, padding_mode="border", align_corners=False)
+
+
+def matched(
+    newer: Float[Tensor, "b 3 h w"],
+    older: Float[Tensor, "b 3 h w"],
+    known: Float[Tensor, "b 1 h w"],
+    ratio: Float[Tensor, " b"],
+) -> Float[Tensor, "b 2 h w"]:
+    """The flow along which two lights agree, as in `FRNet`; 0 where it is not much better than none at all.
+
+    Args:
+        known: 1 where both lights were found, 0 where they were filled in.
+    """
+    sizes = [(newer, older, known)]
+    for _ in range(SIZES - 1):
+        a, b, c = (F.avg_pool2d(x, 2) for x in sizes[-1])
+        sizes.append((a, b, c))
+    flow = torch.zeros_like(sizes[-1][0][:, :2])
+    for k, (a, b, c) in reversed(list(enumerate(sizes))):
+        if flow.shape[-1] != a.shape[-1]:
+            flow = 2 * F.interpolate(flow, scale_factor=2.0, mode="bilinear")
+        best, least = torch.zeros_like(flow), disagreement(a, b, c, ratio, torch.zeros_like(flow))
+        for y in (-1.0, 0.0, 1.0):
+            for x in (-1.0, 0.0, 1.0):
+                tried = flow + flow.new_tensor([x, y])[:, None, None]
+                cost = disagreement(a, b, c, ratio, tried) + FAR * 2**k * squared(tried).sqrt()
+                best, least = torch.where(cost < least, tried, best), torch.minimum(cost, least)
+        flow = F.avg_pool2d(best, 3, 1, 1, count_include_pad=False)
+    still = disagreement(newer, older, torch.ones_like(known), ratio, torch.zeros_like(flow))
+    left = disagreement(newer, older, known, ratio, flow)  # beside what was not found no flow is sure
+    return flow * ((left < SURE * still) & (still > LEAST))
+
+
+def disagreement(
+    newer: Float[Tensor, "b 3 h w"],
+    older: Float[Tensor, "b 3 h w"],
+    known: Float[Tensor, "b 1 h w"],
+    ratio: Float[Tensor, " b"],
+    flow: Float[Tensor, "b 2 h w"],
+) -> Float[Tensor, "b 1 h w"]:
+    """Mean difference of two lights along a flow around each pixel; 1 for what was not found."""
+    further = flow * ratio[:, None, None, None]
+    a, b = shifted(torch.cat((newer, known), 1), flow), shifted(torch.cat((older, known), 1), further)
+    found = a[:, 3:] * b[:, 3:]
+    apart = (a[:, :3] - b[:, :3]).abs().mean(1, keepdim=True) * found + (1 - found)
+    return F.avg_pool2d(apart, WINDOW, 1, WINDOW // 2, count_include_pad=False)
 
 
 class RefinedWarp(nn.Module):
@@ -175,7 +246,7 @@ class RefinedWarp(nn.Module):
     def __init__(self, config: Config = Config()) -> None:
         super().__init__()
         self.config = config
-        self.network = FRNet(config.widths)
+        self.network = FRNet(config.widths) if config.network else None
 
     def start(self, frame: Frame) -> State:
         """The state before the first frame, which is `frame`: there is no older one.
@@ -199,38 +270,53 @@ class RefinedWarp(nn.Module):
             return frame.color, followed(frame, state)
         newer = after_cut(frame, state.newer, "extrass-refined")
         state = State(newer, state.older, state.reach, state.depth, state.known & ~frame.reset)
-        recent, past = self.warped(frame, state)
-        return modulate(decode_log(self.refine(frame, state, recent, past)), surface(frame)), state
+        return modulate(decode_log(self.refine(frame, state, *self.warped(frame, state))), surface(frame)), state
 
-    def warped(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 h w"], Float[Tensor, "b 3 h w"]]:
+    def warped(
+        self, frame: Frame, state: State
+    ) -> tuple[Float[Tensor, "b 3 h w"], Float[Tensor, "b 3 h w"], Float[Tensor, "b 1 h w"]]:
         """The light of the last two shaded frames on this frame's surfaces, encoded by `encode_log`; where there is
-        only one, twice."""
+        only one, twice. And 1 where both were found."""
         assert frame.depth is not None
         with torch.no_grad(), torch.autocast(frame.depth.device.type, enabled=False):
             motion = steps(frame, state.newer.time, state.newer.jitter)
             spans = frame.time - state.newer.time, state.newer.time - state.older.time
             way = chain([motion, state.reach], [frame.depth, state.depth], spans)
-            recent, _ = extrapolated(frame, state.newer, motion=motion)
-            past, _ = extrapolated(frame, state.older, motion=way)
-        return recent, chosen(state.known, past, recent)
+            recent, known = extrapolated(frame, state.newer, motion=motion)
+            past, known_then = extrapolated(frame, state.older, motion=way)
+        return recent, chosen(state.known, past, recent), (known & known_then).float()
 
     def refine(
-        self, frame: Frame, state: State, recent: Float[Tensor, "b 3 h w"], past: Float[Tensor, "b 3 h w"]
+        self,
+        frame: Frame,
+        state: State,
+        recent: Float[Tensor, "b 3 h w"],
+        past: Float[Tensor, "b 3 h w"],
+        known: Float[Tensor, "b 1 h w"],
     ) -> Float[Tensor, "b 3 h w"]:
         """The newer light, moved on."""
-        flow, _, _ = self.flow(frame, state, recent, past)
+        flow, _, _ = self.flow(frame, state, recent, past, known)
         height, width = recent.shape[-2:]
         large = 2 * F.interpolate(flow, scale_factor=2.0, mode="bilinear")[..., :height, :width]
         return blended(recent, large * state.known[:, None, None, None], guides(frame))
 
     def flow(
-        self, frame: Frame, state: State, recent: Float[Tensor, "b 3 h w"], past: Float[Tensor, "b 3 h w"]
+        self,
+        frame: Frame,
+        state: State,
+        recent: Float[Tensor, "b 3 h w"],
+        past: Float[Tensor, "b 3 h w"],
+        known: Float[Tensor, "b 1 h w"],
     ) -> tuple[Float[Tensor, "b 2 i j"], Float[Tensor, "b 3 i j"], tuple[Tensor, ...]]:
-        """At half size, padded to multiples of 16: the flow, the newer light, and the decoder's features."""
+        """At half size, padded to multiples of 16: the flow, the newer light, and the decoder's features, if any."""
         assert frame.roughness is not None
-        a, b, roughness = (padded(halved(x), 16) for x in (recent, past, frame.roughness))
+        a, b, c, roughness = (padded(halved(x), 16) for x in (recent, past, known, frame.roughness))
+        with torch.no_grad(), torch.autocast(a.device.type, enabled=False):
+            start = matched(a, b, c, ago(frame, state))
+        if self.network is None:
+            return start, a, ()
         middle = a.mean((1, 2, 3), keepdim=True)
-        flow, features = self.network(a - middle, b - middle, roughness, ago(frame, state))
+        flow, features = self.network(a - middle, b - middle, roughness, ago(frame, state), start)
         return flow, a, features
 
 
@@ -283,10 +369,11 @@ def loss(
         state = followed(frame, state)
     frame = frames[-1]
     assert frame.roughness is not None
-    recent, past = method.warped(frame, state)
+    assert method.network is not None
+    recent, past, known = method.warped(frame, state)
     ratio, size = ago(frame, state), (recent.shape[-2], recent.shape[-1])
     now, then, earlier = shadows(size, torch.stack((torch.zeros_like(ratio), torch.ones_like(ratio), ratio)), targets)
-    flow, light, features = method.flow(frame, state, shaded(recent, then), shaded(past, earlier))
+    flow, light, features = method.flow(frame, state, shaded(recent, then), shaded(past, earlier), known)
     truth = shaded(encode_log(demodulate(targets[:, -1], surface(frame))), now)
     truth, roughness = (padded(halved(x), 16) for x in (truth, frame.roughness))
     image = shifted(light, flow)
