@@ -10,6 +10,7 @@ for larger images. `docs/evaluation.md` says how the numbers are made.
 """
 
 import json
+import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -24,6 +25,7 @@ import scoreboard_page as pages
 
 from framecast import bench
 from framecast.campaign import command as evaluate
+from framecast.campaign import unfinished
 from framecast.clip import Clip, open_clip
 from framecast.exr import whole
 from framecast.fit import fitting, method_named
@@ -122,6 +124,8 @@ def evaluated(
 ) -> list[Row]:
     """The rows of a part, from its file where that is about the same clips, methods and metrics."""
     if not is_current(path, clips, names, metrics):
+        if path.is_file() and not unfinished(path).is_file():
+            shutil.copyfile(path, unfinished(path))  # what is new or has changed is measured, the rest kept
         folders = tuple(clip.path for clip in clips)
         evaluate(folders, ",".join(names), part.mode, part.scale, path, metrics=metrics, workers=workers)
     return read_results(path)

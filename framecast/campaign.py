@@ -180,7 +180,7 @@ def command(
     settings = _remaining(opened, names, mode, settings)
     wanted = tasks(opened, names, mode, settings)
     about = made_from(opened, names, mode, settings) if json else None
-    part = json and json.with_name(f".{json.stem}.part{json.suffix}")
+    part = json and unfinished(json)
     found = finished(wanted, part, about) if part and about else {}
     with Progress(*Progress.get_default_columns(), TimeElapsedColumn(), transient=True) as progress:
         shown = progress.add_task(f"evaluate ({mode})", total=len(wanted), completed=len(found))
@@ -201,6 +201,11 @@ def command(
     made = f"{', '.join(names)} on {', '.join(labels(opened))}, {mode}"
     files = " and ".join(str(path) for path in (json, csv) if path)
     console.print(f"{made} -> {files} ({len(rows)} rows)" if files else made, highlight=False, soft_wrap=True)
+
+
+def unfinished(json: Path) -> Path:
+    """Where the rows are while not all of them are there; a run that goes on takes from it what is still the same."""
+    return json.with_name(f".{json.stem}.part{json.suffix}")
 
 
 def ordered(wanted: Sequence[Task], found: dict[Task, list[Row]]) -> list[Row]:

@@ -82,6 +82,24 @@ def test_the_pages_are_what_was_measured_and_nothing_is_measured_twice(
         run()
 
 
+def test_a_new_method_is_measured_and_the_others_are_kept(
+    scripts: tuple[ModuleType, ModuleType, ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scoreboard, _, _ = scripts
+    clip = write_disc_clip(tmp_path / "disc", 6)
+    part, path = scoreboard.PARTS[0], tmp_path / "rows.json"
+
+    def run(*names: str) -> dict[str, float]:
+        rows = scoreboard.evaluated(path, part, [clip], names, "psnr", 1)
+        return {row.method: row.value for row in rows if (row.role, row.region) == ("generated", "all")}
+
+    held = run("hold", "blend")
+    marked = path.read_text().replace(str(held["hold"]), "77.0")
+    path.write_text(marked)
+    assert run("hold", "blend", "mobfgsr").keys() == {"hold", "blend", "mobfgsr"}
+    assert run("hold", "blend", "mobfgsr")["hold"] == 77.0
+
+
 def timing(method: str, role: str, median: float) -> Timing:
     return Timing(method, role, False, median, median, median, 1.0, {}, 0.0, 0.0, None, None, 0)  # type: ignore[arg-type]
 
