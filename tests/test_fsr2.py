@@ -8,6 +8,7 @@ from framecast.frame import perspective, project, world_position
 from framecast.methods import fsr2
 from framecast.methods.filters import Lanczos
 from framecast.methods.fsr2 import FSR2, coarse_brightness, hidden_before, ridges
+from framecast.methods.larger import torn
 
 
 def line(width: int) -> torch.Tensor:
@@ -57,6 +58,16 @@ def test_what_something_nearer_covered_was_hidden() -> None:
     assert hidden[:, 9:13].min() > 0.9
     assert hidden[:, :7].max() == 0
     assert hidden[:, 14:].max() == 0
+
+
+@pytest.mark.parametrize("speed", [0.5, 3.0])
+def test_what_lies_beside_something_fast_has_no_history(speed: float) -> None:
+    """The ring of one pixel around a box, whose vectors those of the box replace; the box itself keeps its own."""
+    depth, motion = torch.full((1, 1, 12, 30), 10.0), torch.zeros(1, 2, 12, 30)
+    depth[..., 4:8, 14:20], motion[:, 0, 4:8, 14:20] = 3.0, -speed
+    ring = torch.zeros(12, 30, dtype=torch.bool)
+    ring[3:9, 13:21], ring[4:8, 14:20] = speed > 1, False
+    assert torch.equal(torn(depth, motion)[0, 0], ring)
 
 
 def test_coarse_brightness_is_that_of_eight_pixels() -> None:

@@ -198,8 +198,8 @@ class MNSS(nn.Module):
             seen = torch.cat((tonemap(frame.color).clamp(max=WHITE), nearness(frame.depth)), 1)
             current = enlarge(seen, size, frame.jitter, tent, 2).image
             history, known, still = moved(frame, state, size)
-            rest, *both = rested(state.rest, shown(seen)[:, :3], still, phases(self.config.scale))
-            share, same = pick(torch.cat(both, 1), nearest_sample(small, size, frame.jitter)).split(1, 1)
+            rest, *counts = rested(state.rest, shown(seen)[:, :3], still, phases(self.config.scale))
+            share, same = pick(torch.cat(counts, 1), nearest_sample(small, size, frame.jitter)).split(1, 1)
             before = shown(history)[:, :3]
         trust = torch.sigmoid(self.trust((shown(current) - shown(history)).abs()).float()) * known * same
         repaired = current + trust * (history - current)
