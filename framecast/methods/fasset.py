@@ -212,9 +212,9 @@ class FASSET(nn.Module):
             color, mask = modulate(decode_log(found), surface(frame)), seen(frame, state)
             alone = self.enlarged(color, frame)
             if self.config.base == "accumulated":
-                image, support, still = carried(frame, state.history, mask)
-                image = torch.where(support > 0, image, alone)
-                return Base(image, alone, support / (1 + support), encode_log(color), mask, still), frame
+                image, share, weight, still = carried(frame, state.history, mask)
+                image = alone + share * (image - alone)
+                return Base(image, alone, weight / (1 + weight), encode_log(color), mask, still), frame
             nothing = torch.zeros_like(alone[:, :1])
             return Base(alone, alone, nothing, encode_log(color), mask, nothing), frame
 
@@ -290,17 +290,19 @@ def seen(frame: Frame, state: State) -> Float[Tensor, "b 1 h w"]:
 
 def carried(
     frame: Frame, history: History, mask: Float[Tensor, "b 1 h w"]
-) -> tuple[Float[Tensor, "b 3 H W"], Float[Tensor, "b 1 H W"], Float[Tensor, "b 1 H W"]]:
-    """The accumulated image where the frame shows its content, in the log domain; its weight, 0 in holes; and for how
-    many frames it stood still, 0 where it moves now."""
+) -> tuple[Float[Tensor, "b 3 H W"], Float[Tensor, "b 1 H W"], Float[Tensor, "b 1 H W"], Float[Tensor, "b 1 H W"]]:
+    """The accumulated image where the frame shows its content, in the log domain; the share of it that may be shown,
+    less where there is more of a hole around, so that a few pixels beside thin things do not tear it; what it weighs;
+    and for how many frames it stood still, 0 where it moves now."""
     assert frame.depth is not None
     assert frame.motion is not None
     small, size = ((x.shape[-2], x.shape[-1]) for x in (frame.depth, history.color))
     motion = enlarged_motion(foreground(frame.depth, frame.motion)[1], size, frame.jitter)
-    shown = pick(mask, nearest_sample(small, size, frame.jitter)) * inside(motion)
-    still = history.still * shown * (motion.abs().amax(1, keepdim=True) < STIR)
+    around = F.avg_pool2d(mask, 3, 1, 1, count_include_pad=False)
+    share = pick(around, nearest_sample(small, size, frame.jitter)) * inside(motion)
+    still = history.still * (share == 1) * (motion.abs().amax(1, keepdim=True) < STIR)
     image = untonemap(from_ycocg(sharp_warp(history.color, motion)).clamp(0, 1))
-    return encode_log(image), warp(history.weight, motion) * shown, still
+    return encode_log(image), share, warp(history.weight, motion) * share, still
 
 
 def moved(kept: Float[Tensor, "b k i j"], frame: Frame) -> Float[Tensor, "b k i j"]:
