@@ -13,7 +13,7 @@ from framecast import exr
 from framecast.cli import main
 from framecast.doctor import camera, motion, probe
 from framecast.doctor.depth import planarity
-from framecast.doctor.edges import Edges, Grain, edges_of
+from framecast.doctor.edges import Edges, edges_of
 from framecast.doctor.examine import examine
 from framecast.doctor.follow import steps_of
 from framecast.doctor.jitter import halton, sequence_of
@@ -266,7 +266,7 @@ def test_normals_in_view_space_turned_and_encoded(take: Take) -> None:
     tangent = tangents_of(take)[0]
 
     def told(change) -> tuple[set[str], Normal | None]:
-        findings, found = tell_normals(normals_of(altered(take, "normal", change), depths, tangent), about)
+        findings, found = tell_normals(normals_of(altered(take, "normal", change), depths, tangent, about), about)
         return fixes(findings), found
 
     assert told(lambda n: n)[0] == set()
@@ -286,7 +286,7 @@ def test_normals_in_view_space_turned_and_encoded(take: Take) -> None:
             for r, v in zip(take.records, views, strict=True)
         ],
     )
-    findings, found = tell_normals(normals_of(tilted, depths, tangent), about)  # as stored they are nearly view space
+    findings, found = tell_normals(normals_of(tilted, depths, tangent, about), about)  # as stored nearly view space
     assert fixes(findings) == {"normal.space"}
 
 
@@ -294,7 +294,7 @@ def test_planes_tell_world_from_view_where_the_camera_is_hardly_turned(tmp_path:
     about = Normal(files=("{frame}.exr",), channels=("X", "Y", "Z"))
     take = load(open_source(write(tmp_path / "clip", frames(4, step=0.5))))
     depths = {t: take.stored[t]["depth"][0] for t in take.full("normal")}
-    measured = normals_of(take, depths, tangents_of(take)[0])
+    measured = normals_of(take, depths, tangents_of(take)[0], about)
     assert measured is not None
     assert measured.turning < 1
     assert [f.state for f in tell_normals(measured, about)[0]] == ["fine"]
@@ -302,7 +302,7 @@ def test_planes_tell_world_from_view_where_the_camera_is_hardly_turned(tmp_path:
         {**s, "normal": np.einsum("ij,jhw->ihw", np.asarray(r.view)[:3, :3], s["normal"])} if "normal" in s else s
         for s, r in zip(take.stored, take.records, strict=True)
     ]
-    findings, _ = tell_normals(normals_of(replace(take, stored=seen), depths, tangents_of(take)[0]), about)
+    findings, _ = tell_normals(normals_of(replace(take, stored=seen), depths, tangents_of(take)[0], about), about)
     assert fixes(findings) == {"normal.space"}
 
 
@@ -318,7 +318,7 @@ def test_normals_without_cameras_are_only_wrong_where_an_axis_is_mirrored(take: 
             turned = turn @ np.asarray(record.view)[:3, :3] if view else turn
             normal = {k: np.einsum("ij,jhw->ihw", turned, n) for k, n in planes.items() if k == "normal"}
             stored.append({**planes, **normal})
-        findings, found = tell_normals(normals_of(replace(alone, stored=stored), depths, tangent, axes), about)
+        findings, found = tell_normals(normals_of(replace(alone, stored=stored), depths, tangent, about, axes), about)
         return [f"{f.state} {f.code}" for f in findings], found
 
     c, s = np.cos(0.9), np.sin(0.9)
@@ -330,7 +330,7 @@ def test_normals_without_cameras_are_only_wrong_where_an_axis_is_mirrored(take: 
     flipped = (1.0, -1.0, 1.0)
     facing = {sign: 3.0 if sign == flipped else 60.0 for sign in SIGNS}
     angles = {("view", sign): angle for sign, angle in facing.items()}
-    mirrored = Normals(False, 1.0, 0.0, angles, angles, {"proper": 40.0, "mirrored": 3.0}, facing, 0.0, 1000)
+    mirrored = Normals(False, 1.0, 0.0, angles, {}, {"proper": 40.0, "mirrored": 3.0}, facing, 0.0, 1000)
     (finding,), found = tell_normals(mirrored, about)
     assert (finding.state, finding.code) == ("fix", "normal.sign")
     assert found is not None
@@ -389,7 +389,7 @@ def test_dilated_vectors_reach_one_pixel_beyond_the_card() -> None:
     soft = (crisp + np.roll(crisp, 1, 2) + np.roll(crisp, -1, 2)) / 3
     assert edges_of({0: soft}, {0: depth}).mixed > 0.4
     assert edges_of({0: wide}, {0: depth}, grain=1.0).count == 0  # vectors in steps of a pixel tell nothing
-    assert [f.code for f in tell_edges(Edges(0, 0.0, 0.0), Grain(0.0, False, 32), False)] == ["motion.edges"]
+    assert [f.code for f in tell_edges(Edges(0, 0.0, 0.0), False)] == ["motion.edges"]
 
 
 def test_padding_is_cut_off(take: Take) -> None:

@@ -142,7 +142,12 @@ class Grain:
 def grain_of(take: Take, scale: float, bits: int) -> Grain:
     """The grain of the stored numbers, times pixels a unit."""
     numbers = np.concatenate(
-        [np.abs(take.stored[t]["motion"][:2].astype(np.float32)).ravel()[::17] for t in take.pairs[:4]]
+        [
+            np.abs(take.stored[t]["motion"][:2].astype(np.float32)).ravel()[::17]
+            for t in take.pairs[:4]
+            if "motion" in take.stored[t]
+        ]
+        or [np.zeros(0, np.float32)]
     )
     numbers = numbers[np.isfinite(numbers) & (numbers > 0)]
     if len(numbers) < 100:

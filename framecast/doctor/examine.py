@@ -8,7 +8,7 @@ import numpy as np
 
 from framecast.clip import Record
 from framecast.doctor.camera import sky_of
-from framecast.doctor.edges import edges_of, grain_of, solid_depths
+from framecast.doctor.edges import Grain, edges_of, grain_of, solid_depths
 from framecast.doctor.follow import Step, steps_of
 from framecast.doctor.jitter import Match
 from framecast.doctor.motion import displacement, resampled
@@ -20,6 +20,7 @@ from framecast.doctor.say_rest import (
     tell_color,
     tell_edges,
     tell_exposure,
+    tell_grain,
     tell_normals,
     tell_offset,
     tell_padding,
@@ -204,29 +205,31 @@ def _surfaces(
     distances = _distances(take, depth or claimed)
     if settings.normal is not None and distances:
         tangents = tangents_of(take)
-        normals = normals_of(take, distances, tangents[0] if len(tangents) == 1 else 0.45, settings.axes)
+        tangent = tangents[0] if len(tangents) == 1 else 0.45
+        normals = normals_of(take, distances, tangent, settings.normal, settings.axes)
         said, normal = tell_normals(normals, settings.normal)
         findings += said if depth is not None else [*(f for f in said if f.code in OF_LENGTH), NO_SLOPES]
         settings = replace(settings, normal=normal or settings.normal)
-    if fields and settings.motion is not None:
+    if settings.motion is None or "motion" not in source.bits:
+        return settings, findings
+    grain = _grain(source, take, settings.motion)
+    if fields:
         near = {t: resampled(z, take.size) for t, z in solid_depths(take, distances).items()}
-        own = next(take.stored[t]["motion"].shape[1:] for t in take.pairs if "motion" in take.stored[t])
-        units = (
-            displacement(
-                np.ones((len(settings.motion.channels), 1), np.float32),
-                replace(settings.motion, bias=(0.0, 0.0), packing="none"),
-                take.size,
-                own,
-            )
-            if settings.motion.packing == "none"
-            else np.zeros((2, 1))
-        )
-        packed = settings.motion.packing in ("base255", "base256")
-        grain = grain_of(take, float(np.abs(units).max()), 32 if packed else source.bits["motion"])
         blender = source.kind == "blender" or "Blender" in str(_provenance(source))
         edges = edges_of({t: f for t, f in fields.items() if t in near}, near, grain.pixels)
-        findings += tell_edges(edges, grain, blender)
-    return settings, findings
+        findings += tell_edges(edges, blender)
+    return settings, [*findings, *tell_grain(grain)]
+
+
+def _grain(source: Source, take: Take, motion: Motion) -> Grain:
+    """How finely the vectors are stored, in pixels as they are read."""
+    own = next((take.stored[t]["motion"].shape[1:] for t in take.pairs if "motion" in take.stored[t]), take.size)
+    packed = motion.packing in ("base255", "base256")
+    pixels = 0.0
+    if motion.packing == "none":
+        one = np.ones((len(motion.channels), 1), np.float32)
+        pixels = float(np.abs(displacement(one, replace(motion, bias=(0.0, 0.0)), take.size, own)).max())
+    return grain_of(take, pixels, 32 if packed else source.bits["motion"])
 
 
 def _provenance(source: Source) -> object:

@@ -8,13 +8,11 @@ import numpy as np
 from framecast.doctor.edges import Edges, Grain, alignments
 from framecast.doctor.follow import Step
 from framecast.doctor.report import Finding, State
-from framecast.doctor.surface import Normals, Signs, Tone
+from framecast.doctor.surface import Normals, Tone
 from framecast.doctor.take import Take
 from framecast.doctor.timeline import Exposure, cuts, padding, repeats, reversals, skips
 from framecast.importers.blender import ranges
 from framecast.importers.settings import Color, Normal
-
-Space = tuple[str, Signs]
 
 
 def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding], Normal | None]:
@@ -49,6 +47,7 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
     angles = normals.angles
     best = min(angles, key=angles.__getitem__)
     claimed = (claim.space, claim.sign)
+    rival = normals.flat.get(("view" if claim.space == "world" else "world", claim.sign), (0.0, 0.0))
     if claimed not in angles:  # world, without cameras
         return _without_cameras(normals, out, found)
     if angles[best] > 35:
@@ -61,9 +60,10 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
             )
         )
         return out, None
-    if (angles[best] < angles[claimed] - 2 and angles[best] < 0.7 * angles[claimed]) or straighter(
-        normals, best, claimed
-    ):
+    clearly = angles[best] < angles[claimed] - 2 and angles[best] < 0.7 * angles[claimed]
+    straight = [k for k in angles if straighter(*normals.flat.get(k, (0, 0))) and angles[k] < angles[claimed] + 1]
+    if clearly or straight:
+        best = best if clearly else min(straight, key=angles.__getitem__)
         space, sign = best
         turned = [axis for axis, s, c in zip("xyz", sign, claim.sign, strict=True) if s != c]
         where = f"in {space} space, not in {claim.space} space" if space != claim.space else ""
@@ -75,7 +75,7 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
         )
         out.append(Finding(code, "fix", says, angles[claimed], angles[best]))
         found = replace(found, space=space, sign=sign)  # type: ignore[arg-type]
-    elif not straighter(normals, claimed, ("view" if claim.space == "world" else "world", claim.sign)) and not out:
+    elif not straighter(*rival[::-1]) and not out:
         says = (
             f"normals fit the slopes of depth ({angles[claimed]:.1f} degrees off); whether they are in world or view "
             f"space cannot be told, the camera is turned by {normals.turning:.1f} degrees only; record one that turns"
@@ -92,9 +92,9 @@ def tell_normals(normals: Normals | None, claim: Normal) -> tuple[list[Finding],
     return out, found
 
 
-def straighter(normals: Normals, one: Space, other: Space) -> bool:
+def straighter(one: float, other: float) -> bool:
     """Whether one way to read normals fits planes and another one does not, however little they differ."""
-    return normals.flat[other] - normals.flat[one] > 0.2 and normals.flat[one] < 0.5 * normals.flat[other]
+    return other - one > 0.2 and one < 0.5 * other
 
 
 def _without_cameras(normals: Normals, out: list[Finding], found: Normal) -> tuple[list[Finding], Normal]:
@@ -241,8 +241,8 @@ def tell_time(take: Take, steps: Sequence[Step], empty: Sequence[int]) -> tuple[
     return out, apart
 
 
-def tell_edges(edges: Edges, grain: Grain, blender: bool) -> list[Finding]:
-    """Dilated, averaged and coarsely stored vectors."""
+def tell_edges(edges: Edges, blender: bool) -> list[Finding]:
+    """Dilated and averaged vectors."""
     out = []
     if edges.count < 60:
         says = (
@@ -264,6 +264,12 @@ def tell_edges(edges: Edges, grain: Grain, blender: bool) -> list[Finding]:
             f"those of both sides ({why if blender else 'by multi-sampling or a filter; export one sample a pixel'})"
         )
         out.append(Finding("motion.averaged", "note" if blender else "fix", says))
+    return out
+
+
+def tell_grain(grain: Grain) -> list[Finding]:
+    """Coarsely stored vectors."""
+    out = []
     if grain.half or grain.bits < 32:
         kind = "half floats" if grain.half else f"{grain.bits}-bit numbers"
         harm: State = "fix" if grain.pixels > 0.1 else "note"

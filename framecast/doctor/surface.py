@@ -10,11 +10,13 @@ from framecast.doctor.camera import sky_of
 from framecast.doctor.probe import thinned
 from framecast.doctor.take import Take
 from framecast.importers.decode import AXES
+from framecast.importers.settings import Normal
 
 ENOUGH = 5_000
 """Pixels of a frame whose normals are compared with the slopes of depth."""
 
 Signs = tuple[float, float, float]
+Space = tuple[str, Signs]
 
 SIGNS: tuple[Signs, ...] = tuple((x, y, z) for x, y, z in product((1.0, -1.0), repeat=3))
 
@@ -28,9 +30,9 @@ class Normals:
     encoded_share: float
     """Share of the pixels that hold a unit vector as they are, and as n / 2 + 1/2."""
     angles: Mapping[tuple[str, Signs], float]
-    flat: Mapping[tuple[str, Signs], float]
-    """The same on planes, whose slopes are exact (the third of the pixels with the least angles), that look another way
-    from the camera than in the world."""
+    flat: Mapping[tuple[str, Signs], tuple[float, float]]
+    """The same, and that of the claimed reading, where the two readings differ most, on planes, whose slopes are exact
+    (the third of those pixels with the least angles). Empty where the claimed reading cannot be tried."""
     free: Mapping[str, float]
     """The same after the best rotation of the world: `proper`, and `mirrored`, with one axis turned around."""
     facing: Mapping[Signs, float]
@@ -40,7 +42,9 @@ class Normals:
     count: int
 
 
-def normals_of(take: Take, depths: Mapping[int, np.ndarray], tangent: float, axes: str = "opengl") -> Normals | None:
+def normals_of(
+    take: Take, depths: Mapping[int, np.ndarray], tangent: float, claim: Normal, axes: str = "opengl"
+) -> Normals | None:
     """What the stored normals are; None where no frame has depth and normals with slopes.
 
     Args:
@@ -62,7 +66,8 @@ def normals_of(take: Take, depths: Mapping[int, np.ndarray], tangent: float, axe
         return None
     plain_share, encoded_share = np.mean(shares, 0)
     encoded = bool(encoded_share > plain_share)
-    scores: dict[tuple[str, Signs], list[tuple[float, float]]] = {}
+    scores: dict[Space, list[float]] = {}
+    flat: dict[Space, list[tuple[float, float]]] = {}
     free: dict[str, list[float]] = {"proper": [], "mirrored": []}
     facing: dict[Signs, list[float]] = {}
     turning, count = [], 0
@@ -76,46 +81,45 @@ def normals_of(take: Take, depths: Mapping[int, np.ndarray], tangent: float, axe
             continue
         view = take.records[t].view if "cameras" in take.recorded else None
         turn = np.asarray(view)[:3, :3] if view is not None else np.eye(3)
-        turned = slopes @ turn  # rows: world = view rotation transposed times camera
-        apart = np.linalg.norm(turned - slopes, axis=1)
-        tells = apart >= 0.5 * np.quantile(apart, 0.9)
+        seen: dict[Space, np.ndarray] = {}
         for sign in SIGNS:
             world = (n * sign) @ AXES[axes].T
-            scores.setdefault(("view", sign), []).append(angles(n * sign, slopes, tells))
-            facing.setdefault(sign, []).append(angle(world, slopes))
+            facing.setdefault(sign, []).append(least(between(world, slopes), 0.9))
+            seen["view", sign] = n * sign
             if view is not None:
-                scores.setdefault(("world", sign), []).append(angles(world, turned, tells))
+                seen["world", sign] = world @ turn.T  # rows: camera = view rotation times world
+        off = {space: between(v, slopes) for space, v in seen.items()}
+        for space, degrees in off.items():
+            scores.setdefault(space, []).append(least(degrees, 0.9))
+            if (claimed := (claim.space, claim.sign)) in seen and space != claimed:
+                apart = between(seen[space], seen[claimed])
+                tells = apart >= max(0.5 * float(np.quantile(apart, 0.99)), 0.2)
+                if tells.sum() >= 50:
+                    pair = least(degrees[tells], 1 / 3), least(off[claimed][tells], 1 / 3)
+                    flat.setdefault(space, []).append(pair)
         if view is not None:
             turning.append(float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))))
         for name, turn in zip(free, rotations(slopes, n @ AXES[axes].T), strict=True):
-            free[name].append(angle(n @ AXES[axes].T, slopes @ turn))
+            free[name].append(least(between(n @ AXES[axes].T, slopes @ turn), 0.9))
     if not scores:
         return None
-    mean = {k: np.mean(v, 0) for k, v in scores.items()}
+    planes = {k: (float(np.mean([a for a, _ in v])), float(np.mean([b for _, b in v]))) for k, v in flat.items()}
     return Normals(
-        encoded, float(plain_share), float(encoded_share), {k: float(v[0]) for k, v in mean.items()},
-        {k: float(v[1]) for k, v in mean.items()},
+        encoded, float(plain_share), float(encoded_share), {k: float(np.mean(v)) for k, v in scores.items()}, planes,
         {k: float(np.mean(v)) for k, v in free.items()}, {k: float(np.mean(v)) for k, v in facing.items()},
         float(np.mean(turning)) if turning else 0.0, count,
     )  # fmt: skip
 
 
-def angles(a: np.ndarray, b: np.ndarray, some: np.ndarray) -> tuple[float, float]:
-    """Mean angle in degrees between unit vectors `n 3` without the worst tenth (normal maps, edges); and of the least
-    third of some of them."""
-    degrees = np.degrees(np.arccos(np.clip((a * b).sum(1), -1, 1)))
-    few = np.sort(degrees[some])
-    return least(np.sort(degrees), 0.9), least(few, 1 / 3)
+def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angles in degrees between unit vectors `n 3`."""
+    degrees: np.ndarray = np.degrees(np.arccos(np.clip((a * b).sum(1), -1, 1)))
+    return degrees
 
 
-def angle(a: np.ndarray, b: np.ndarray) -> float:
-    """The first of `angles`."""
-    return angles(a, b, np.ones(len(a), bool))[0]
-
-
-def least(rising: np.ndarray, share: float) -> float:
-    """Mean of the smallest numbers of a sorted list."""
-    return float(rising[: max(1, int(share * len(rising)))].mean())
+def least(degrees: np.ndarray, share: float) -> float:
+    """Mean of the smallest of them: a tenth is normal maps and edges."""
+    return float(np.sort(degrees)[: max(1, int(share * len(degrees)))].mean())
 
 
 def facets(z: np.ndarray, solid: np.ndarray, tangent: float) -> tuple[np.ndarray, np.ndarray]:
