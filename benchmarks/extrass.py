@@ -23,7 +23,7 @@ from framecast.clip import Clip, open_clip
 from framecast.color import to_display
 from framecast.evaluate import Settings, evaluate_clip, index_at
 from framecast.fit import method_named
-from framecast.frame import Frame, unshaded
+from framecast.frame import BUFFERS, Frame, unshaded
 from framecast.methods import guided
 from framecast.methods.reproject import steps
 from framecast.metrics import measure
@@ -90,18 +90,20 @@ def played(clip: Clip, method: str, gap: int, start: int) -> Iterator[Output]:
 
 
 def against(clip: Clip, index: int, output: Output) -> float:
-    """PSNR of an image."""
+    """PSNR of an image, which may be the upper left part of its frame."""
     reference = clip.reference(index)
     assert reference is not None
+    reference = reference[..., : output.image.shape[-2], : output.image.shape[-1]]
     return measure(to_display(output.image), to_display(reference), ["psnr"], {"all": None})["all", "psnr"]
 
 
-def drift(clips: Clips, method: str = "extrass", frames: int = 300, part: int = 60) -> None:
-    """PSNR by parts of a long run, which passes the same frames again and again."""
+def drift(clips: Clips, method: str = "extrass", frames: int = 300, part: int = 60, height: int = 180) -> None:
+    """PSNR by parts of a long run, which passes the same frames again and again, of their uppermost rows."""
     for clip in map(open_clip, clips):
         for name in (method, "taau"):
             values: dict[tuple[int, bool], list[float]] = defaultdict(list)
-            given = ([frame] for frame in forth_and_back(clip, frames, every=1 if name == "taau" else 2))
+            every = 1 if name == "taau" else 2
+            given = ([cropped(frame, height)] for frame in forth_and_back(clip, frames, every))
             for k, output in enumerate(stream(method_named(name, 2.0), given)):
                 values[k // part, output.generated].append(against(clip, place(clip, k), output))
             for generated in (False, True):
@@ -109,6 +111,12 @@ def drift(clips: Clips, method: str = "extrass", frames: int = 300, part: int = 
                 role = "generated" if generated else "shaded"
                 if parts:
                     print(f"| {clip.path.name} | {name}, {role} | " + " | ".join(f"{p:.2f}" for p in parts) + " |")
+
+
+def cropped(frame: Frame, height: int) -> Frame:
+    """The uppermost rows of a frame."""
+    buffers = {name: getattr(frame, name) for name in BUFFERS}
+    return replace(frame, **{name: image[..., :height, :] for name, image in buffers.items() if image is not None})
 
 
 def place(clip: Clip, k: int) -> int:

@@ -117,8 +117,8 @@ def test_a_run_can_begin_with_weights(source: Footage, tmp_path: Path) -> None:
 def test_weights_on_the_command_line_are_of_a_trainable_method(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no method 'hold'; use one of extranet"):
         method_named(f"hold={tmp_path / 'w.safetensors'}")
-    with pytest.raises(ValueError, match="use extrass=FILE"):
-        method_named("extrass")
+    with pytest.raises(ValueError, match="use extranet-published=FILE"):
+        method_named("extranet-published")
     with pytest.raises(FileNotFoundError, match="framecast train wrote"):
         method_named(f"extranet={tmp_path / 'w.safetensors'}")
 
