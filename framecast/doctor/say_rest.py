@@ -136,7 +136,7 @@ def tell_color(tone: Tone | None, claim: Color, bits: int) -> tuple[list[Finding
         return [], claim
     if claim.encoding == "srgb":
         return _claimed_display(tone, claim, bits)
-    if tone.slope is not None and tone.slope < (0.53 if tone.peak < 1.02 else 0.45):
+    if tone.slope is not None and tone.slope < (0.53 if tone.peak < 2 else 0.45):
         says = (
             "colour is encoded for a display, not linear: where only albedo jumps, colour changes "
             f"{tone.slope:.2f} times as much "
