@@ -2,13 +2,14 @@
 
     python benchmarks/classifier.py classes CLIP...
     python benchmarks/classifier.py initial RUN/weights.safetensors VARIANT -o FILE
-    python benchmarks/classifier.py variants CLIP... --runs FOLDER
+    python benchmarks/classifier.py variants CLIP... [--runs FOLDER]
 
 Clips are rendered with --ranges. `initial` makes the first weights of a variant: those of the whole method without what
 the variant does not see, so that a few steps of training tell what that was worth.
 """
 
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from statistics import fmean
 from typing import Annotated, Any
@@ -26,7 +27,7 @@ from framecast.color import untonemap
 from framecast.evaluate import Footage, Settings, index_at, judged, run
 from framecast.fit import method_named
 from framecast.frame import Frame
-from framecast.labels import ALIASING, GHOSTING, likeliest
+from framecast.labels import ALIASING, GHOSTING, NONE, likeliest
 from framecast.labels import labels as true_labels
 from framecast.methods.classifier import Classifier, kept
 from framecast.methods.classifier_buffers import State
@@ -126,16 +127,18 @@ def initial(weights: Positional[Path], variant: Positional[str], out: Annotated[
 
 
 class Told(torch.nn.Module):
-    """`classifier` that is told the true classes of a clip."""
+    """`classifier` that is told the classes of a clip."""
 
-    def __init__(self, method: Classifier, clip: Clip) -> None:
+    def __init__(self, method: Classifier, clip: Clip, what: str) -> None:
+        """`what`: the truth, or that all is none."""
         super().__init__()
-        self.method, self.clip = method, clip
+        self.method, self.clip, self.what = method, clip, what
         self.config, self.needs_generated, self.step_motion = method.config, (), False
         self.start = method.start
 
     def forward(self, frame: Frame, state: State) -> tuple[Tensor, State]:
-        made = self.method.make(frame, state, truth(self.clip, index_at(self.clip, float(frame.time))))
+        found = truth(self.clip, index_at(self.clip, float(frame.time)))
+        made = self.method.make(frame, state, found if self.what == "truth" else torch.full_like(found, NONE))
         return untonemap(made.mixed.image), kept(made, frame)
 
 
@@ -149,24 +152,41 @@ def scores(method: Any, clip: Clip) -> dict[str, float]:
     return {region: fmean(values) for region, values in found.items()}
 
 
-def variants(clips: Positional[tuple[Path, ...]], runs: Path, steps: int, page: Path = PAGE) -> None:
-    """PSNR of what was trained with and without parts of the method.
+def variants(
+    clips: Positional[tuple[Path, ...]],
+    method: str = "classifier",
+    runs: Path | None = None,
+    steps: int = 0,
+    page: Path = PAGE,
+) -> None:
+    """PSNR of the method told other classes than its own, and of what was trained without parts of it.
 
     Args:
         clips: clips that nothing was trained on.
-        runs: folder of the runs, each named as its variant.
+        method: the method, or classifier=FILE.
+        runs: folder of runs that are named as their variants; those that it holds are measured.
         steps: how many more steps each was trained.
         page: the markdown page.
     """
     opened = [open_clip(path) for path in clips]
-    lines = [
-        f"PSNR in dB, mean of {', '.join(clip.path.name for clip in opened)}. Each variant begins with the weights"
-    ]
-    lines += [f"of the whole method, less what it does not see, and trains {steps} more steps, the whole one, too.", ""]
-    lines += [f"| variant | {' | '.join(TITLES[region] for region in REGIONS)} |", "|---" * (len(REGIONS) + 1) + "|"]
+    made: Any = method_named(method)
+    rows: dict[str, Callable[[Clip], Any]] = {
+        "classifier": lambda clip: made,
+        "told the true classes": lambda clip: Told(made, clip, "truth"),
+        'told "none" everywhere': lambda clip: Told(made, clip, "none"),
+    }
     for name, called in VARIANTS.items():
-        method = method_named(f"{name}={runs / name / 'weights.safetensors'}")
-        found = [scores(Told(method, c) if name == "classifier-true-labels" else method, c) for c in opened]
+        path = Path("none") if runs is None else runs / name / "weights.safetensors"
+        if path.is_file():
+            other: Any = method_named(f"{name}={path}")
+            told = name == "classifier-true-labels"
+            rows[f"{called}, {steps} more steps"] = (
+                lambda clip, other=other, told=told: Told(other, clip, "truth") if told else other  # type: ignore[misc]
+            )
+    lines = [f"PSNR in dB, mean of {', '.join(clip.path.name for clip in opened)}.", ""]
+    lines += [f"| variant | {' | '.join(TITLES[region] for region in REGIONS)} |", "|---" * (len(REGIONS) + 1) + "|"]
+    for called, make in rows.items():
+        found = [scores(make(clip), clip) for clip in opened]
         cells = [f"{fmean(each[region] for each in found if region in each):.2f}" for region in REGIONS]
         lines.append(f"| {called} | {' | '.join(cells)} |")
         print(lines[-1], flush=True)

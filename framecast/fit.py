@@ -52,7 +52,7 @@ def method_named(name: str, scale: float | None = None) -> Method:
         )
     other: Method = type(method)(replace(method.config, scale=scale))
     other.load_state_dict(method.state_dict())
-    return other
+    return other.eval()
 
 
 def after(first: str, second: str, scale: float | None) -> Method:

@@ -152,7 +152,7 @@ def _require_classes(job: Job, method: object) -> None:
     if not isinstance(method, Classifier) or method.classify is None:
         raise ValueError(
             f"{job.method} does not classify pixels, so that there are no labels to write; use "
-            f"--method classifier=FILE, or leave out --debug labels"
+            f"--method classifier, or leave out --debug labels"
         )
     if job.format == "mp4":
         raise ValueError("labels are written beside images, and a film has none; use --format png, or exr")

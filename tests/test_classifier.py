@@ -17,7 +17,7 @@ from torch.utils._pytree import tree_leaves
 from framecast import checkpoint
 from framecast.cli import main
 from framecast.clip import ClipError, open_clip
-from framecast.color import encode_srgb, tonemap
+from framecast.color import encode_srgb, tonemap, untonemap
 from framecast.data import Footage, Samples, footage
 from framecast.fit import method_named
 from framecast.frame import Frame, concatenate
@@ -203,10 +203,12 @@ def mixed(
     sharp: float = -99,
     taps: float = 0,
     hidden: float = 0,
+    unsettled: float = 1,
 ) -> Mixed:
     """What the network that mixes makes if it says the same of all pixels; by default to change nothing."""
     raw = torch.tensor([trust, fresh, bound, sharp, *[taps] * 8]).float()[:, None, None].expand(1, 12, *SIZE)
-    return mix(seen, raw, torch.full((1, 1, *SIZE), float(hidden)))
+    every = torch.ones(1, 1, *SIZE)
+    return mix(seen, raw, hidden * every, unsettled * every)
 
 
 def test_frame_and_history_weigh_what_they_are_worth() -> None:
@@ -289,6 +291,51 @@ def test_whatever_the_network_says_a_constant_stays_what_it_is() -> None:
     torch.nn.init.normal_(method.mix[2].weight)
     for image in played(method, [shot(t, 2.0, lambda x, y: torch.full_like(x, 0.3), speed=0.4) for t in range(4)]):
         torch.testing.assert_close(image, torch.full_like(image, 0.3), atol=1e-5, rtol=0)
+
+
+def test_what_is_settled_stays() -> None:
+    frame = shot(1, 2.0)
+    seen = look(frame, remembered(frame, image=0.9 * torch.rand(1, 3, *SIZE)), 2.0)
+    found = mixed(seen, KEEP, 0, 0, 0, 0.3, unsettled=0)
+    assert torch.equal(found.kept, seen.history)
+    assert torch.equal(found.image, seen.history)
+
+
+def after(frames: list[Frame], truths: list[Tensor]) -> State:
+    """The state of a network without knowledge that is told the classes."""
+    method = tiny()
+    state = method.start(frames[0])
+    with torch.no_grad():
+        for frame, each in zip(frames, truths, strict=True):
+            state = kept(method.make(frame, state, each), frame)
+    return state
+
+
+def test_frames_at_rest_are_counted_until_something_moves_or_history_fails() -> None:
+    quiet, frames = [classes()] * 6, [shot(t, 2.0) for t in range(6)]
+    assert bool((after(frames, quiet).rest.frames == 5).all())
+    shaded = classes()
+    shaded[:, 0, 7, 9] = 1
+    found = after(frames, [*quiet[:4], shaded, quiet[0]]).rest.frames
+    assert float(found[0, 0, 7, 9]) == 1
+    assert float(found[0, 0, 7, 10]) == 5
+    moving = after([*frames[:5], shot(5, 2.0, speed=0.4)], quiet).rest.frames
+    assert bool((moving == 0).all())
+
+
+def test_light_that_changes_ends_rest_where_it_does() -> None:
+    """What is complete does not follow by itself: 0.3 became 0.5 in its right half."""
+    brighter = torch.where(torch.arange(24.0) < 12, 0.3, 0.5).expand(1, 3, 18, 24).contiguous()
+    frames = [shot(t, 2.0, color=brighter) for t in range(1, 25)]
+    method, state = tiny(), remembered(frames[0], image=tonemap(torch.full((1, 3, *SIZE), 0.3)))
+    state = replace(state, rest=replace(state.rest, frames=torch.full((1, 1, *SIZE), 200.0)))
+    with torch.no_grad():
+        for frame in frames:
+            state = kept(method.make(frame, state, classes()), frame)
+    found = state.rest.frames[0, 0]
+    assert bool((found[:, :16] == 224).all())
+    assert bool((found[:, 32:] < 24).all())
+    assert float((untonemap(state.image)[..., 32:] - 0.5).abs().max()) < 0.1
 
 
 def test_slopes_are_differences_of_brightness() -> None:

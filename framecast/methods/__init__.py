@@ -55,6 +55,7 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "fsr2": FSR2,
     "nsrr": lambda: shipped("nsrr", NSRR(nsrr.STEADY)),
     "mnss": lambda: shipped("mnss", MNSS()),
+    "classifier": lambda: shipped("classifier", Classifier()),
 }
 
 TRAINABLE: dict[str, tuple[Callable[[], nn.Module], Recipe]] = {

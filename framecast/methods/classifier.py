@@ -13,14 +13,16 @@ Differs: Half of the features of a scale go on to the next; at the coarsest all 
          One frame has one sample a pixel, so that the range of colours is that of 3 x 3 samples.
          The weight of the frame is not made from nothing. An image is worth the samples that it is the mean of, as in
          TAAU, each by its distance to the centre of the pixel; the network says how far history is still worth that,
-         and how much more or less the frame is. Untrained, it accumulates as TAAU does. Where history surely shows what
-         hid the surface, it is worth nothing, whatever the network says.
+         and how much more or less the frame is. Untrained, it accumulates as TAAU does. Where the classifier is sure that
+         history shows what hid the surface, it is worth next to nothing.
          The network also says how far history has to lie within the colours of the 3 x 3 samples, how sharp the frame
          is enlarged, and how far the image, after what is kept of it, goes towards each of the 8 pixels around it, or
          away from them: the mean of samples is less sharp than a display pixel.
-         It sees likelihoods, frame, history and their difference and slopes, what the bounds take away, detail, speed,
-         counter and worth, difference of depths, distance of the sample, how much reading blurred the history, and 8
-         channels that the classifier makes beside the classes.
+         What stands still is complete after two periods of the jitter and stays as it then is, until the classifier
+         says that history fails, or squares of 8 x 8 pixels have become brighter or darker than it.
+         The network sees likelihoods, frame, history and their difference and slopes, what the bounds take away,
+         detail, speed, counter and worth, difference of depths, distance of the sample, how much reading blurred the
+         history, and 8 channels that the classifier makes beside the classes.
          Colour is x / (1 + max), for networks under the sRGB curve.
          Losses are not published. Here: 5 times the root of the mean square error as displayed, where pixels whose
          history fails count threefold; L1 of the change from image to image where it holds; half the cross-entropy
@@ -29,7 +31,7 @@ Differs: Half of the features of a scale go on to the next; at the coarsest all 
          Off the screen and after a cut history fails whatever the network says.
 Needs:   color, depth, motion
 Modes:   pass
-State:   what was accumulated, its worth, depth, counter, range of colours and classes, at display size
+State:   what was accumulated, its worth, depth, counter, range of colours, classes and rest, at display size
 """
 
 from collections.abc import Sequence
@@ -42,11 +44,11 @@ from torch import Tensor, nn
 
 from framecast.color import to_display, untonemap
 from framecast.frame import Frame
-from framecast.methods.classifier_buffers import CLASSES, Seen, State, look
+from framecast.methods.classifier_buffers import BLOCK, CLASSES, Rest, Seen, State, look, rested
 from framecast.methods.larger import WHITE, require, warn_of_stillness
 from framecast.nets import BatchNorm, padded
 from framecast.recipe import Recipe
-from framecast.resample import size_at
+from framecast.resample import phases, size_at
 from framecast.warp import warp
 
 LONG = 16.0
@@ -119,6 +121,7 @@ class Made:
     classes: Float[Tensor, "b 6 H W"]
     """Likelihoods that the image was made with."""
     counter: Float[Tensor, "b 1 H W"]
+    rest: Rest
     seen: Seen
 
 
@@ -154,7 +157,7 @@ class Network(nn.Module):
         )
         shares = torch.tensor([share for three in SHARES.values() for share in three])
         with torch.no_grad():
-            self.decode[-1].bias[:CLASSES] = shares.log() / 2  # type: ignore[index,operator]
+            self.decode[-1].bias[:CLASSES] = shares.log() / 2  # type: ignore[operator]
 
     def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d h w"]:
         logits: Tensor = self.decode(self.joined(x))
@@ -177,7 +180,7 @@ class Classifier(nn.Module):
     needs_generated: tuple[str, ...] = ()
     modes: tuple[str, ...] = ("pass",)
     scales: tuple[float, ...] = (1.5, 2.0, 3.0)
-    parts: tuple[str, ...] = ("make",)
+    parts: tuple[str, ...] = ("look", "classified", "mixing", "mixed")
     history: int | None = None
     step_motion: bool = False
 
@@ -189,7 +192,8 @@ class Classifier(nn.Module):
         mixed = 19 + 2 * config.counter + (CLASSES + config.guide) * config.classifier
         outputs = 4 + len(AROUND)
         self.mix = nn.Sequential(nn.Conv2d(mixed, config.inner, 1), nn.ReLU(), nn.Conv2d(config.inner, outputs, 1))
-        nn.init.normal_(self.mix[2].weight, std=1e-2)  # the first images are, nearly, means of samples
+        # The first images are, nearly, means of samples.
+        nn.init.normal_(self.mix[2].weight, std=1e-2)  # type: ignore[arg-type]
         with torch.no_grad():
             self.mix[2].bias.copy_(torch.tensor([KEEP] + [0.0] * (outputs - 1)))  # type: ignore[operator]
 
@@ -200,7 +204,9 @@ class Classifier(nn.Module):
         size = size_at((frame.depth.shape[-2], frame.depth.shape[-1]), self.config.scale)
         image, one, span = (frame.depth.new_zeros(len(frame.depth), c, *size) for c in (3, 1, 6))
         nothing, known = torch.full_like(span, 1 / 3), torch.zeros_like(frame.reset)
-        return State(image, one, one.clone(), one.clone(), span, nothing, frame.time, frame.jitter, known)
+        drift = image.new_zeros(len(image), 3, *(-(-side // BLOCK) for side in size))
+        rest = Rest(one, drift)
+        return State(image, one.clone(), one.clone(), one.clone(), span, nothing, rest, frame.time, frame.jitter, known)
 
     def forward(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 H W"], State]:
         """The frame at display size, and what is known of it.
@@ -228,10 +234,11 @@ class Classifier(nn.Module):
                 classes = torch.cat([one_hot(truth[:, k]) for k in (0, 1)], 1)
             failed = classes[:, :1] > classes[:, 1:3].amax(1, keepdim=True)
             counter = torch.where(failed | ~seen.valid, 0.0, seen.counter + 1)
-        raw = self.mix(self.mixing(seen, classes, counter, guide)).float()
-        with torch.autocast(frame.time.device.type, enabled=False):
-            mixed = mix(seen, raw, torch.zeros_like(counter) if logits is None else classes[:, :1])
-        return Made(mixed, logits, classes, counter, seen)
+            ghost = classes[:, :2].amax(1, keepdim=True) > classes[:, 2:3]
+            rest = rested(seen, state.rest, ghost, frame.reset | ~state.known)
+            hidden = classes[:, :1] * self.config.classifier
+        mixed = self.mixed(seen, self.mixing(seen, classes, counter, guide), hidden, rest)
+        return Made(mixed, logits, classes, counter, rest, seen)
 
     def look(self, frame: Frame, state: State) -> Seen:
         """The auxiliary buffers."""
@@ -262,6 +269,13 @@ class Classifier(nn.Module):
         shown += [] if guide is None else [classes, guide]
         return torch.cat(shown, 1)
 
+    def mixed(self, seen: Seen, shown: Float[Tensor, "b c H W"], hidden: Float[Tensor, "b 1 H W"], rest: Rest) -> Mixed:
+        """What the network that mixes makes of what it is shown."""
+        raw = self.mix(shown).float()
+        with torch.autocast(seen.depth.device.type, enabled=False):
+            unsettled = (2 - rest.frames / phases(self.config.scale)).clamp(0, 1)
+            return mix(seen, raw, hidden, unsettled)
+
 
 def slopes(image: Float[Tensor, "b 3 H W"]) -> Float[Tensor, "b 2 H W"]:
     """How brightness changes across and down, from the pixel before to the one after."""
@@ -270,7 +284,12 @@ def slopes(image: Float[Tensor, "b 3 H W"]) -> Float[Tensor, "b 2 H W"]:
     return torch.cat((across, down), 1)
 
 
-def mix(seen: Seen, raw: Float[Tensor, "b 12 H W"], hidden: Float[Tensor, "b 1 H W"]) -> Mixed:
+def mix(
+    seen: Seen,
+    raw: Float[Tensor, "b 12 H W"],
+    hidden: Float[Tensor, "b 1 H W"],
+    unsettled: Float[Tensor, "b 1 H W"],
+) -> Mixed:
     """Frame and history, each by the samples that it is worth, as far as the network does not say otherwise.
 
     Args:
@@ -278,19 +297,21 @@ def mix(seen: Seen, raw: Float[Tensor, "b 12 H W"], hidden: Float[Tensor, "b 1 H
             lie within the frame's colours; how sharp the frame is; and, for the image alone, how far it goes towards
             each of the pixels around (`AROUND`), or away from them.
         hidden: likelihood that history shows what hid the surface.
+        unsettled: 1, falling to 0 where nothing changes any more: history is exact there, and the image is what it was.
     """
     trust, fresh, bound, sharp, taps = raw.split((1, 1, 1, 1, len(AROUND)), 1)
     old = seen.worth * torch.sigmoid(trust - HIDDEN * hidden)
-    new = seen.confidence * torch.exp(RANGE * torch.tanh(fresh))
+    new = seen.confidence * torch.exp(RANGE * torch.tanh(fresh)) * unsettled
     current = seen.smooth + torch.sigmoid(sharp) * (seen.sharp - seen.smooth)
-    history = seen.history + torch.sigmoid(bound) * (seen.bounded - seen.history)
-    kept = history + new / (old + new) * (current - history)
+    history = seen.history + torch.sigmoid(bound) * unsettled * (seen.bounded - seen.history)
+    share = torch.where(seen.worth > 0, new / (old + new).clamp(min=1e-6), 1.0)
+    kept = history + share * (current - history)
     height, width = kept.shape[-2:]
     wide = F.pad(kept, (1, 1, 1, 1), mode="replicate")
-    image = kept
+    added = torch.zeros_like(kept)
     for (y, x), tap in zip(AROUND, (TAP * torch.tanh(taps)).split(1, 1), strict=True):
-        image = image + tap * (wide[..., y : y + height, x : x + width] - kept)
-    return Mixed(image.clamp(0, WHITE), kept, (old + new).clamp(FIRST, MOST))
+        added = added + tap * (wide[..., y : y + height, x : x + width] - kept)
+    return Mixed((kept + unsettled * added).clamp(0, WHITE), kept, (old + new).clamp(FIRST, MOST))
 
 
 def likelihoods(logits: Float[Tensor, "b 6 H W"]) -> Float[Tensor, "b 6 H W"]:
@@ -313,6 +334,7 @@ def kept(made: Made, frame: Frame) -> State:
         made.counter,
         seen.range_now,
         made.classes,
+        made.rest,
         frame.time,
         frame.jitter,
         known,

@@ -6,6 +6,7 @@ Colours are tone-mapped, x / (1 + max).
 from dataclasses import dataclass
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -34,6 +35,26 @@ BLUR = 0.8
 """Part of its worth that history loses when it is read half-way between pixels in both directions."""
 
 
+STILL = 1e-3
+"""Motion in display pixels a frame below which a pixel stands still."""
+BLOCK = 8
+"""Side of the squares of display pixels whose brightness tells whether light changed."""
+LATELY = 8
+"""Frames over which that is averaged, so that one phase of the jitter does not decide."""
+CHANGED = 0.02
+"""How much brighter or darker squares have to be, as displayed, beyond half of what their pixels differ by."""
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What stands still."""
+
+    frames: Float[Tensor, "b 1 H W"]
+    """Since the pixel moved or changed."""
+    drift: Float[Tensor, "b 3 n m"]
+    """By how much squares of frames were brighter than history of late, under the sRGB curve."""
+
+
 @dataclass(frozen=True)
 class State:
     """The last frame, at display size."""
@@ -50,13 +71,15 @@ class State:
     """Smallest and largest tone-mapped colour, under the sRGB curve."""
     classes: Float[Tensor, "b 6 H W"]
     """Likelihoods, in the order of `CLASSES`; 1/3 each: nothing is known."""
+    rest: Rest
     time: Float[Tensor, " b"]
     jitter: Float[Tensor, "b 2"]
     known: Bool[Tensor, " b"]
     """False before the first frame."""
 
 
-torch.export.register_dataclass(State)
+for _kind in (Rest, State):
+    torch.export.register_dataclass(_kind)
 
 
 @dataclass(frozen=True)
@@ -143,3 +166,25 @@ def look(frame: Frame, state: State, scale: float) -> Seen:
         blur=blur,
         shown=encode_srgb(torch.cat((sharp, history), 1)),
     )
+
+
+def rested(seen: Seen, before: Rest, ghost: Bool[Tensor, "b 1 H W"], fresh: Bool[Tensor, " b"]) -> Rest:
+    """What stands still with this frame, too.
+
+    Args:
+        ghost: pixels whose history fails.
+        fresh: frames without any history.
+    """
+    sharp, history = seen.shown.chunk(2, 1)
+    mean, size = (squares(off) for off in (sharp - history, (sharp - history).abs()))
+    drift = chosen(fresh, mean, before.drift + (mean - before.drift) / LATELY)
+    changed = (drift.abs() > CHANGED + size / 2).any(1, keepdim=True).float()
+    height, width = seen.depth.shape[-2:]
+    changed = F.interpolate(changed, scale_factor=float(BLOCK), mode="nearest")[..., :height, :width] > 0
+    still = seen.valid & (seen.motion.abs().amax(1, keepdim=True) < STILL) & ~ghost & ~changed
+    return Rest(torch.where(still, before.frames + 1, 0.0), drift)
+
+
+def squares(image: Float[Tensor, "b c H W"]) -> Float[Tensor, "b c n m"]:
+    """Means over squares of pixels, the last ones cut off by the border."""
+    return F.avg_pool2d(image, BLOCK, BLOCK, ceil_mode=True, count_include_pad=False)
