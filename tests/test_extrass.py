@@ -9,7 +9,7 @@ from passing import H, W, shot
 from torch import Tensor
 
 from framecast.frame import Frame, concatenate, unshaded
-from framecast.methods.extrass import ALONE, GUESSED, KEPT, Config, ExtraSS, loss, recipe
+from framecast.methods.extrass import ACCUMULATED, ALONE, GUESSED, KEPT, Config, ExtraSS, loss, recipe
 from framecast.methods.guided import GuidedWarp, extrapolated
 from framecast.methods.larger import encoded
 from framecast.methods.taau import TAAU
@@ -80,6 +80,13 @@ def test_an_unshaded_frame_gives_samples_too() -> None:
     for k, found in enumerate(run(fresh(), frames)):
         wanted, state = taau.accumulate(replace(frames[k], color=warped) if k == 1 else frames[k], state, trust[k])
         torch.testing.assert_close(encoded(found), encoded(wanted), atol=1e-4, rtol=0)
+
+
+def test_without_a_network_images_are_those_of_one_that_adds_nothing() -> None:
+    frames = alternating(4, square=3.0)
+    for found, wanted in zip(run(ExtraSS(ACCUMULATED), frames), run(fresh(), frames), strict=True):
+        torch.testing.assert_close(encoded(found), encoded(wanted), atol=1e-5, rtol=0)
+    assert parameters(ExtraSS(ACCUMULATED)) == 0
 
 
 def test_samples_that_are_not_trusted_leave_history_as_it_is() -> None:

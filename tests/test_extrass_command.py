@@ -12,8 +12,6 @@ from framecast import exr
 from framecast.cli import main
 from framecast.clip import Clip, finish, open_clip, write_frame
 from framecast.fit import method_named
-from framecast.methods import METHODS
-from framecast.methods.extrass import ExtraSS
 
 
 def recorded(folder: Path, shaded: int = 2, *, frames: int = 5, cut: int = 0, lacking: str = "color") -> Clip:
@@ -25,12 +23,6 @@ def recorded(folder: Path, shaded: int = 2, *, frames: int = 5, cut: int = 0, la
         write_frame(folder / "clip", replace(record, cut=record.number == cut, jitter=(0.2, 0.1 * i - 0.3)), kept)
     finish(folder / "clip", fps=24)
     return open_clip(folder / "clip")
-
-
-@pytest.fixture(autouse=True)
-def _untrained(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(METHODS, "extrass", ExtraSS)
-    torch.manual_seed(0)
 
 
 def asked(clip: Clip, out: Path, *more: str) -> int:
@@ -49,7 +41,7 @@ def test_every_second_frame_shaded_at_half_size(tmp_path: Path, capsys: pytest.C
     for frame, image in zip((clip[i] for i in range(5)), images(out), strict=True):
         with torch.no_grad():
             wanted, state = method(frame, method.start(frame) if state is None else state)
-        np.testing.assert_allclose(image.astype(np.float32), wanted[0].numpy(), atol=1e-2)
+        np.testing.assert_allclose(image.astype(np.float32), wanted[0].numpy(), atol=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -48,6 +48,7 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "extranet": lambda: shipped("extranet", ExtraNet(extranet.BETTER)),
     "extrass-warp": GuidedWarp,
     "extrass-refined": lambda: RefinedWarp(refine.MATCHED),
+    "extrass": lambda: ExtraSS(extrass.ACCUMULATED),
     "bilinear": Bilinear,
     "lanczos": Lanczos,
     "taa": TAA,

@@ -67,6 +67,12 @@ class Config:
     """Output size divided by input size."""
     widths: tuple[int, int, int, int] = (24, 32, 48, 64)
     """Channels at the size of the input, a half, a quarter and an eighth of it."""
+    network: bool = True
+    """Without it images are what is accumulated of shaded frames and guided warps."""
+
+
+ACCUMULATED = Config(network=False)
+"""What needs no training."""
 
 
 @dataclass(frozen=True)
@@ -176,9 +182,10 @@ class ExtraSS(nn.Module):
             raise ValueError(f"extrass makes images of 2 times the size, not {config.scale:g}; use scale 2, or taau")
         self.config = config
         self.taau = TAAU(larger.Config(config.scale))
-        self.shaded = Encoder(47, config.widths)
-        self.extrapolated = Encoder(51, config.widths)
-        self.decoder = Decoder(config.widths)
+        if config.network:
+            self.shaded = Encoder(47, config.widths)
+            self.extrapolated = Encoder(51, config.widths)
+            self.decoder = Decoder(config.widths)
 
     def start(self, frame: Frame) -> State:
         """The state before the first frame, which is `frame`: nothing is known.
@@ -208,7 +215,7 @@ class ExtraSS(nn.Module):
         else:
             larger.require(frame, "extrass", self.needs)
         gathered = self.gather(frame, state)
-        image, _ = self.predict(gathered, frame.color is None)
+        image = self.predict(gathered, frame.color is None)[0] if self.config.network else gathered.base
         return decoded(image), kept(image, gathered, frame, state)
 
     def gather(self, frame: Frame, state: State, *, warped: bool = False) -> Gathered:
@@ -227,11 +234,13 @@ class ExtraSS(nn.Module):
                 color, known = self.extrapolate(frame, state.shaded, reach)
             sample = replace(frame, color=color, motion=motion)
             base, history = self.taau.accumulate(sample, state.history, GUESSED + (1 - GUESSED) * known)
+            base, near = encoded(base), nearness(frame.depth)
+            if not self.config.network:  # which alone asks for the rest
+                return Gathered(near, base, base, base, torch.zeros_like(base[:, :1]), known, reach, history)
             current = encode_srgb(enlarge(tonemap(color).clamp(max=WHITE), size, frame.jitter, tent, 2).image)
             large = enlarged_motion(foreground(frame.depth, motion)[1], size, frame.jitter)
             usable = (inside(large) & (state.known & ~frame.reset)[:, None, None, None]).float()
             last = sharp_warp(state.last, large) * usable
-            base, near = encoded(base), nearness(frame.depth)
             where = frame.jitter[:, :, None, None].expand(-1, -1, *near.shape[-2:])
             confidence = history.weight / (1 + history.weight)
             inputs = [F.pixel_unshuffle(torch.cat((current, base, last, usable, confidence), 1), 2), near, where]
