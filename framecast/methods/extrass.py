@@ -9,7 +9,8 @@ Follows: section 4: an unshaded frame begins as the last shaded one, warped by i
          (Eq. 13).
 Differs: What the network adds to is an accumulated image: TAAU's, which takes unshaded frames in, too. Guided warping
          makes samples of them: last light on the surfaces that were rendered, at their own jitter. The paper's network
-         makes its image from nothing, for which a few small clips are not enough.
+         makes its image from nothing, for which a few small clips are not enough. `ACCUMULATED`, which ships, is that
+         image alone: trained for a quarter of an hour the network adds next to nothing to it.
          The last image enters by at most nine tenths, read between its pixels without overshoot: no error can grow.
          Extrapolated frames begin as the guided warp alone, without the flow of section 4.2 (`refine.py`).
          Layers and widths are ours, for none are published: U-Nets at the size of the input, 24 to 64 channels, full
