@@ -129,8 +129,9 @@ def look(frame: Frame, state: State, scale: float) -> Seen:
     color, jitter = tonemap(frame.color).clamp(max=WHITE), frame.jitter
     nearest = nearest_sample(small, size, jitter)
     around = neighbourhood(color)
-    picked = (frame.depth, around.low, around.high, encode_srgb(around.low), encode_srgb(around.high))
-    depth, low, high, range_now = pick(torch.cat(picked, 1), nearest).split((1, 3, 3, 6), 1)
+    depth, low, high = pick(torch.cat((frame.depth, around.low, around.high), 1), nearest).split((1, 3, 3), 1)
+    # By itself: as a part of others it would lie otherwise in memory than that of `start`, and be compiled for twice.
+    range_now = pick(encode_srgb(torch.cat((around.low, around.high), 1)), nearest)
     motion = steps(frame, state.time, jitter)  # both images lie on whole pixels: their jitter is the same
     motion = foreground(frame.depth, chosen(frame.reset, torch.zeros_like(motion), motion))[1]
     motion = enlarged_motion(motion, size, jitter)
