@@ -33,7 +33,7 @@ def test_what_is_missing_damaged_or_of_something_else_is_said(tmp_path: Path, mo
 
 def test_every_file_has_a_card_and_is_small() -> None:
     files = sorted(weights.FOLDER.glob("*.safetensors"))
-    assert {"extranet", "mobfgsr-table", "nsrr", "mnss", "classifier"} <= {path.stem for path in files}
+    assert {"extranet", "mobfgsr-table", "nsrr", "mnss", "classifier", "fasset"} <= {path.stem for path in files}
     for path in files:
         assert "Licence: Apache-2.0" in path.with_suffix(".md").read_text()
         assert path.stat().st_size < 1e6

@@ -49,6 +49,7 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "extrass-warp": GuidedWarp,
     "extrass-refined": lambda: RefinedWarp(refine.MATCHED),
     "extrass": lambda: ExtraSS(extrass.ACCUMULATED),
+    "fasset": lambda: shipped("fasset", FASSET(fasset.BETTER)),
     "bilinear": Bilinear,
     "lanczos": Lanczos,
     "taa": TAA,
