@@ -5,8 +5,8 @@ print(examined.report.text())         in words; .json() for machines
 draw(examined, Path("doctor.png"))    the picture that convinces
 
 Order of reading: `source` (files and claims) -> `take` (frames to look at) -> `probe`, `motion`, `search` (vectors),
-`jitter`, `camera`, `depth`, `surface`, `edges` (experiments), `follow`, `timeline` (frame by frame) -> `say_...` (words)
--> `examine`.
+`jitter`, `camera`, `depth`, `surface`, `edges` (experiments), `follow`, `timeline` (frame by frame) -> `say_...`
+(words) -> `examine`.
 """
 
 from framecast.doctor.examine import Examined, examine

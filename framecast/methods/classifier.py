@@ -13,8 +13,8 @@ Differs: Half of the features of a scale go on to the next; at the coarsest all 
          One frame has one sample a pixel, so that the range of colours is that of 3 x 3 samples.
          The weight of the frame is not made from nothing. An image is worth the samples that it is the mean of, as in
          TAAU, each by its distance to the centre of the pixel; the network says how far history is still worth that,
-         and how much more or less the frame is. Untrained, it accumulates as TAAU does. Where the classifier is sure that
-         history shows what hid the surface, it is worth next to nothing.
+         and how much more or less the frame is. Untrained, it accumulates as TAAU does. Where the classifier is sure
+         that history shows what hid the surface, it is worth next to nothing.
          The network also says how far history has to lie within the colours of the 3 x 3 samples, how sharp the frame
          is enlarged, and how far the image, after what is kept of it, goes towards each of the 8 pixels around it, or
          away from them: the mean of samples is less sharp than a display pixel.
