@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -222,6 +222,7 @@ def healthy(path: Path) -> bytes:
     st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), max_size=12),
     st.none() | st.integers(0, 300),
 )
+@example("a.npy", [(8, 1)], None)
 def test_pictures_and_arrays_that_are_damaged_raise_nothing_but_sentences(
     tmp_path_factory: pytest.TempPathFactory, name: str, changes: list[tuple[int, int]], end: int | None
 ) -> None:
