@@ -1,9 +1,10 @@
 """An analytic shot for tests of methods with G-buffers: a textured wall passes by, a square may cross it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from framecast.clip import Clip, Record, finish, write_frame
 from framecast.frame import Frame
@@ -54,6 +55,17 @@ def shot(
         reset=torch.tensor([time == 0]),
         span=torch.tensor([span]),
     )
+
+
+def run(method: nn.Module, frames: Sequence[Frame]) -> list[Tensor]:
+    """The images that a method makes of frames, from a fresh start."""
+    images: list[Tensor] = []
+    state = method.start(frames[0])  # type: ignore[operator]
+    with torch.no_grad():
+        for frame in frames:
+            image, state = method(frame, state)
+            images.append(image)
+    return images
 
 
 def write_shots(folder: Path, frames: int, **about: float) -> Clip:

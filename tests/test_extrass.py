@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from passing import H, W, shot
-from torch import Tensor
+from passing import H, W, run, shot
 
 from framecast.frame import Frame, concatenate, unshaded
 from framecast.methods.extrass import ACCUMULATED, ALONE, GUESSED, KEPT, Config, ExtraSS, loss, recipe
@@ -23,15 +22,6 @@ def alternating(count: int = 4, *, speed: float = 3.0, square: float | None = No
     jitters = ((0.0, 0.0), (0.25, -0.3), (-0.2, 0.1), (0.4, 0.2))
     frames = [shot(float(t), speed=speed, square=square, jitter=jitters[t % 4], span=1.0) for t in range(count)]
     return [unshaded(frame) if t % 2 else frame for t, frame in enumerate(frames)]
-
-
-def run(method: ExtraSS, frames: list[Frame]) -> list[Tensor]:
-    images, state = [], method.start(frames[0])
-    with torch.no_grad():
-        for frame in frames:
-            image, state = method(frame, state)
-            images.append(image)
-    return images
 
 
 def fresh(last: float = -30.0, frame: float = -30.0) -> ExtraSS:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from passing import H, W, shot
+from passing import H, W, run, shot
 from torch import Tensor
 from torch.utils._pytree import tree_leaves
 
@@ -45,15 +45,6 @@ def alternating(count: int = 5, *, speed: float = 3.0, square: float | None = No
         for t in range(count)
     ]
     return [unshaded(frame) if t % 2 else frame for t, frame in enumerate(frames)]
-
-
-def run(method: FASSET, frames: list[Frame]) -> list[Tensor]:
-    images, state = [], method.start(frames[0])
-    with torch.no_grad():
-        for frame in frames:
-            image, state = method(frame, state)
-            images.append(image)
-    return images
 
 
 def fresh(config: Config = BETTER, *, stirred: float = 0.0) -> FASSET:

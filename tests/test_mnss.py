@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from passing import H, W, shot
+from passing import H, W, run, shot
 from test_nsrr import cut, jittered, truth
-from torch import Tensor, nn
+from torch import nn
 from torch.utils._pytree import tree_leaves
 
-from framecast.frame import Frame, concatenate, pixel_grid
+from framecast.frame import concatenate, pixel_grid
 from framecast.losses import difference
 from framecast.methods.larger import encoded
 from framecast.methods.mnss import MNSS, Config, loss, moved, shown
@@ -28,16 +28,6 @@ def silent(config: Config = TINY) -> MNSS:
     nn.init.zeros_(method.trust[2].weight)  # type: ignore[arg-type]
     nn.init.constant_(method.trust[2].bias, 10)  # type: ignore[arg-type]
     return method
-
-
-def run(method: MNSS, frames: list[Frame]) -> list[Tensor]:
-    """The images of the frames."""
-    images, state = [], method.start(frames[0])
-    with torch.no_grad():
-        for frame in frames:
-            image, state = method(frame, state)
-            images.append(image)
-    return images
 
 
 def test_the_default_is_variant_b_and_a_convolution_for_the_samples() -> None:

@@ -6,15 +6,20 @@ import torch
 from framecast.frame import SKY
 from framecast.warp import (
     EMPTY,
+    FITS,
+    _searched_at,
+    _unlike,
     chain,
     disoccluded,
     fetch,
     inside,
     key_depth,
     key_index,
+    landing,
     nearest_neighbour,
     pick,
     scale_motion,
+    search_around,
     splat,
     trajectory,
     warp,
@@ -176,3 +181,20 @@ def test_disoccluded_is_what_the_disc_hid() -> None:
     shrunk = -torch.nn.functional.max_pool2d(-before.float(), 3, 1, 1) > 0
     assert torch.equal(new, core & shrunk)
     assert new.sum() > 5
+
+
+def test_like_surfaces_are_searched_where_the_middle_does_not_fit_as_they_are_everywhere() -> None:
+    """What few cores do at some pixels is what a GPU does at all of them; mostly something better is found."""
+    generator = torch.Generator().manual_seed(2)
+    depth, other = (1 + torch.rand(2, 1, 9, 13, generator=generator) for _ in range(2))
+    motion = 4 * torch.rand(2, 2, 9, 13, generator=generator) - 2
+    centre = landing(motion)
+    misfit = _unlike(pick(other, centre), depth)
+    index, least = search_around(centre, misfit, depth, other)
+    everywhere = _searched_at(torch.arange(centre.numel()), centre, misfit, depth, other)
+    assert torch.equal(index, everywhere[0])
+    assert torch.equal(least, everywhere[1])
+    torch.testing.assert_close(least, _unlike(pick(other, index), depth))
+    fits = misfit < FITS
+    assert torch.equal(index[fits[:, 0]], centre[fits[:, 0]])
+    assert float((least < misfit)[~fits].float().mean()) > 0.8
