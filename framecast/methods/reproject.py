@@ -148,10 +148,10 @@ def join(
         there, here = (..., slice(dy, None), slice(dx, None)), (..., slice(-dy or None), slice(-dx or None))
         near = squared(position[there] - position[here]) <= limit[here].square()
         same = (object[there] == object[here]) & (near | (object[here] != 0))
-        return F.pad(same, (0, dx, 0, dy))
+        return F.pad(same.to(torch.int32), (0, dx, 0, dy))  # compiled, a padded mask is code that no compiler takes
 
     right, below = like(0, 1), like(1, 0)
-    return 1 + 2 * right.to(torch.int32) + 4 * below.to(torch.int32) + 8 * (right & below & like(1, 1)).to(torch.int32)
+    return 1 + 2 * right + 4 * below + 8 * right * below * like(1, 1)
 
 
 def squared(vectors: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 1 h w"]:
