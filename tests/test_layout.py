@@ -53,6 +53,7 @@ LEVELS = {
     "report": 6,
     "doctor": 5,
     "demo": 6,
+    "commands": 6,
     "cli": 7,
 }
 
