@@ -31,7 +31,7 @@ from framecast.doctor.say_rest import (
     tell_time,
 )
 from framecast.doctor.source import open_source
-from framecast.doctor.surface import SIGNS, Normals, Tone, normals_of, rotations, tone_of
+from framecast.doctor.surface import SIGNS, Normals, Tone, facets, normals_of, rotations, tone_of
 from framecast.doctor.take import Take, load
 from framecast.doctor.timeline import exposure_of
 from framecast.importers import open_any
@@ -441,3 +441,30 @@ def test_a_turned_axis_ends_with_1_and_says_so_in_words(tmp_path: Path, capsys) 
         np.testing.assert_allclose(clip[index].motion[0], layers["motion"], atol=1e-4)
         np.testing.assert_allclose(found.view, record.view, atol=1e-6)
         assert found.jitter == pytest.approx(record.jitter)
+
+
+def test_vectors_of_some_rows_and_columns_are_those_of_all(take: Take) -> None:
+    told = tell_motion(take, MOTION)
+    np.testing.assert_array_equal(fields_of(take, told, [4], 3)[4], fields_of(take, told, [4])[4][:, ::3, ::3])
+
+
+@pytest.mark.parametrize("height", [60, 600])
+def test_slopes_of_a_plane_are_its_normal_in_large_images_too(height: int) -> None:
+    normal, tangent = np.array([0.48, 0.6, 0.64]), 0.5
+    y, x = np.mgrid[0:height, 0:90] + 0.5
+    ray = np.stack([(x - 45) * 2 * tangent / height, (height / 2 - y) * 2 * tangent / height, -np.ones_like(x)])
+    z = -4 / np.einsum("c,chw->hw", normal, ray)
+    slopes, where = facets(z, z > 0, tangent)
+    np.testing.assert_allclose(slopes, np.broadcast_to(normal, slopes.shape), atol=1e-3)
+    assert where.sum() == len(slopes) > 0.9 * 88 * (height - 2) / probe.thinned(height).step
+
+
+def test_images_are_smoothed_by_1_2_1_and_hold_numbers_only() -> None:
+    dot = np.zeros((3, 5, 6), np.float32)
+    dot[:, 2, 3] = 16
+    np.testing.assert_array_equal(probe.smooth(dot)[0, 1:4, 2:5], [[1, 2, 1], [2, 4, 2], [1, 2, 1]])
+    np.testing.assert_array_equal(probe.smooth(np.ones_like(dot)), 1)
+    bad = np.full((3, 4, 4), np.nan, np.float32)
+    bad[0], bad[1] = np.inf, -np.inf
+    expected = np.log(probe.DARK + np.array([65504 / 2, 0, 0]))
+    np.testing.assert_allclose(probe.comparable(bad, 2.0)[:, 1, 1], expected, rtol=1e-6)

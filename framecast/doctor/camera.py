@@ -91,8 +91,7 @@ def blank_points(take: Take, t: int, seed: int) -> np.ndarray:
     """Textured pixels without vectors, by linear index: of surfaces where there are enough of them."""
     empty = resampled(blank(take.stored[t]["motion"])[0], take.size)
     solid = empty & ~background(take, t)
-    image = take.images[t].astype(np.float32)
-    return pick_points(image, solid if solid.mean() > EMPTY_SHARE else empty, POINTS // 2, seed)
+    return pick_points(take.images[t], solid if solid.mean() > EMPTY_SHARE else empty, POINTS // 2, seed)
 
 
 def camera_fields(take: Take, scene: Scene, depth: Distance | None) -> tuple[tuple[np.ndarray, np.ndarray | None], ...]:
@@ -110,8 +109,7 @@ def camera_fields(take: Take, scene: Scene, depth: Distance | None) -> tuple[tup
 
 def between(take: Take, here: int, there: int, points: np.ndarray) -> Pair:
     """Two frames of a take in pixels of the first, given by linear index."""
-    images = [take.images[t].astype(np.float32) for t in (here, there)]
-    return replace(pair_of(images, 0, 1, points), here=here, there=there)
+    return pair_of(take.images, here, there, points)
 
 
 def background(take: Take, t: int) -> np.ndarray:

@@ -143,7 +143,7 @@ def grain_of(take: Take, scale: float, bits: int) -> Grain:
     """The grain of the stored numbers, times pixels a unit."""
     numbers = np.concatenate(
         [
-            np.abs(take.stored[t]["motion"][:2].astype(np.float32)).ravel()[::17]
+            np.abs(take.stored[t]["motion"][:2].ravel()[::17].astype(np.float32))
             for t in take.pairs[:4]
             if "motion" in take.stored[t]
         ]

@@ -82,7 +82,7 @@ def examine(folder: Path | str) -> Examined:
     shake = told.answer.shake if told.answer and told.motion else Shake((), np.zeros((0, 2)), None, None)
     jittered, ahead = False, int(told.answer is not None and "next" in told.answer.best.reading.motion.direction)
     if told.answer is not None and told.motion is not None and len(shake.measured) >= 2:
-        every = fields_of(take, told, take.pairs)
+        every = fields_of(take, told, take.pairs, 3)
         said, jitter, jittered = tell_jitter(take, shake, every, settings.jitter, ahead=ahead, partial=bool(told.lacks))
         findings += said
         settings = replace(settings, jitter=jitter)

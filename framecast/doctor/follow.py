@@ -1,6 +1,6 @@
 """Every frame along the vectors as found: how alike, how much brighter, and how far the picture really moves."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -57,13 +57,13 @@ def steps_of(take: Take, told: Told) -> list[Step]:
 
 def step_of(take: Take, told: Told, here: int, there: int) -> Step | None:
     """Two neighbours, the first of which holds the vectors; None without texture."""
-    image, other = take.images[here].astype(np.float32), take.images[there].astype(np.float32)
+    image, other = take.images[here], take.images[there]
     points = pick_points(image, np.ones(take.size, bool), POINTS, here)
     if "motion" in take.stored[here]:
         points = np.union1d(points, pick_points(image, restless(take.stored[here]["motion"], take.size), POINTS, here))
     if len(points) < 50:
         return None
-    pair = replace(pair_of([image, other], 0, 1, points), here=here, there=there)
+    pair = pair_of(take.images, here, there, points)
     own, rest = parts(take, told, here, there, points, pair)
     x, y = own + rest
     along, still = sample(pair.other, pair.x + x, pair.y + y), sample(pair.other, pair.x, pair.y)

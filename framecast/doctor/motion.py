@@ -147,7 +147,7 @@ def scene_of(take: Take, name: str = "motion", *, written: bool = False) -> Scen
     for t in spread:
         stored = take.stored[t][name]
         own = (stored.shape[1], stored.shape[2])
-        image = take.images[t].astype(np.float32)
+        image = take.images[t]
         lively = ~resampled(blank(stored)[0], take.size) if written else restless(stored, take.size)
         anywhere = lively if written else np.ones_like(lively)
         points = np.union1d(
@@ -155,12 +155,10 @@ def scene_of(take: Take, name: str = "motion", *, written: bool = False) -> Scen
         )
         if len(points) < 50:
             continue
-        pair = pair_of([image, take.images[t - 1].astype(np.float32)], 0, 1, points)
-        pairs.append(replace(pair, here=t, there=t - 1))
+        pair = pair_of(take.images, t, t - 1, points)
+        pairs.append(pair)
         follows = t + 1 < len(take.numbers) and take.joined[t + 1]
-        after.append(
-            replace(pair, here=t, there=t + 1, other=take.images[t + 1].astype(np.float32)) if follows else None
-        )
+        after.append(replace(pair, there=t + 1, other=take.images[t + 1]) if follows else None)
         moving.append(lively.flat[points])
         every.append(points)
     return Scene(tuple(pairs), tuple(after), tuple(moving), tuple(every), take.size, own) if pairs else None

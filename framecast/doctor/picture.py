@@ -30,7 +30,7 @@ def draw(examined: Examined, path: Path) -> Path:
     """One PNG: above, whole pictures, below, the place where the second reading gains most."""
     take, told = examined.take, examined.told
     t = _frame(take)
-    image, before = take.images[t].astype(np.float32), take.images[t - 1].astype(np.float32)
+    image, before = take.images[t], take.images[t - 1]
     claim = examined.claim.motion
     zero = np.zeros((2, *take.size), np.float32)
     as_claimed = zero if claim is None else _whole(take, t, claim, 0)

@@ -22,16 +22,21 @@ DARK = 0.05
 
 def comparable(color: Float[np.ndarray, "3 h w"], level: float) -> Float[np.ndarray, "3 h w"]:
     """Colour on a scale on which equal ratios look equally different, smoothed by 1-2-1; `level` is its median."""
-    bright = np.nan_to_num(color.astype(np.float32), nan=0.0, posinf=65504.0, neginf=0.0)
-    return smooth(np.log(DARK + np.clip(bright, 0, 65504.0) / level))
+    bright = np.minimum(np.fmax(color, 0, dtype=np.float32), 65504)  # NaN becomes 0
+    bright /= level
+    bright += DARK
+    return smooth(np.log(bright, out=bright))
 
 
 def smooth(image: Float[np.ndarray, "c h w"]) -> Float[np.ndarray, "c h w"]:
     """Filtered by 1-2-1 over four in both directions; the edge is continued."""
     tall = np.concatenate([image[:, :1], image, image[:, -1:]], 1)
-    image = (tall[:, :-2] + 2 * tall[:, 1:-1] + tall[:, 2:]) / 4
+    tall = tall[:, :-1] + tall[:, 1:]
+    image = tall[:, :-1] + tall[:, 1:]
     wide = np.concatenate([image[:, :, :1], image, image[:, :, -1:]], 2)
-    smoothed: np.ndarray = (wide[:, :, :-2] + 2 * wide[:, :, 1:-1] + wide[:, :, 2:]) / 4
+    wide = wide[:, :, :-1] + wide[:, :, 1:]
+    smoothed: np.ndarray = wide[:, :, :-1] + wide[:, :, 1:]
+    smoothed /= 16
     return smoothed
 
 

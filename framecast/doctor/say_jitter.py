@@ -22,7 +22,7 @@ def tell_jitter(
     """Findings, how to read the jitter, and whether the vectors hold it.
 
     Args:
-        fields: vectors `2 h w` in pixels towards the previous frame.
+        fields: vectors `2 h w` in pixels towards the previous frame, of some pixels.
         ahead: 1 where they were made from vectors to the next frame.
         partial: vectors are missing in a good part of the picture, so that shifts are those of some objects.
     """
@@ -173,7 +173,7 @@ def inner_shake(
     runs = [t for t in frames if t - 1 in fields and t - 2 in fields]
     if len(runs) < 3:
         return None
-    middle = {t: np.array([np.median(plane[::3, ::3]) for plane in fields[t]]) for t in frames}
+    middle = {t: np.array([np.median(plane) for plane in fields[t]]) for t in frames}
     bend = np.array([middle[t] - 2 * middle[t - 1] + middle[t - 2] for t in runs])
     if np.sqrt((bend**2).mean()) < 2 * SHAKE:
         return None

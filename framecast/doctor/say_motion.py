@@ -298,8 +298,9 @@ def _doubts(answer: Answer) -> list[Finding]:
     )
 
 
-def fields_of(take: Take, told: Told, frames: Sequence[int]) -> dict[int, np.ndarray]:
-    """Vectors `2 h w` in pixels towards the previous frame, at the size of the pictures, as found; offsets applied."""
+def fields_of(take: Take, told: Told, frames: Sequence[int], every: int = 1) -> dict[int, np.ndarray]:
+    """Vectors `2 h w` in pixels towards the previous frame, as found, offsets applied; at the size of the pictures, or
+    of `every` so many rows and columns of the stored ones."""
     if told.answer is None or told.motion is None:
         return {}
     reading = told.answer.best.reading
@@ -309,10 +310,10 @@ def fields_of(take: Take, told: Told, frames: Sequence[int]) -> dict[int, np.nda
         if not 0 <= source < len(take.stored) or "motion" not in take.stored[source]:
             continue
         stored = take.stored[source]["motion"]
-        own = (stored.shape[1], stored.shape[2])
-        flat = displacement(stored.reshape(len(stored), -1), reading.motion, take.size, own) * np.float32(take.stretch)
-        planes = [resampled(plane.reshape(own), take.size) for plane in flat]
-        out[t] = np.stack(planes) * (-1 if "next" in reading.motion.direction else 1)
+        own, some = (stored.shape[1], stored.shape[2]), stored[:, ::every, ::every]
+        flat = displacement(some.reshape(len(some), -1), reading.motion, take.size, own) * np.float32(take.stretch)
+        planes = flat.reshape(2, *some.shape[1:]) * (-1 if "next" in reading.motion.direction else 1)
+        out[t] = np.stack([resampled(plane, take.size) for plane in planes]) if every == 1 else planes
     return out
 
 

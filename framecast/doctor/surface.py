@@ -123,25 +123,28 @@ def least(degrees: np.ndarray, share: float) -> float:
 
 
 def facets(z: np.ndarray, solid: np.ndarray, tangent: float) -> tuple[np.ndarray, np.ndarray]:
-    """Normals `n 3` in view space of smooth places of a depth image, towards the camera, and where they are."""
+    """Normals `n 3` in view space of smooth places of a depth image, towards the camera, and where they are; of large
+    images every so many rows."""
     height, width = z.shape
     y, x = np.mgrid[0:height, 0:width] + 0.5
     z = np.where(solid, z, 1).astype(np.float64)
     scale = 2 * tangent / height
     point = np.stack([(x - width / 2) * scale * z, (height / 2 - y) * scale * z, -z])
-    right = point[:, 1:-1, 2:] - point[:, 1:-1, :-2]
-    down = point[:, 2:, 1:-1] - point[:, :-2, 1:-1]
-    n = np.cross(right, down, axis=0)
+    step = thinned(height).step
+    above, here, below = (slice(1 + k, height - 1 + k, step) for k in (-1, 0, 1))
+    left, middle, right = (slice(1 + k, width - 1 + k) for k in (-1, 0, 1))
+    sides = [(here, left), (here, right), (above, middle), (below, middle)]
+    a, b, c, d = (point[:, *side] for side in sides)
+    n = np.cross(b - a, d - c, axis=0)
     n = -n / np.maximum(np.linalg.norm(n, axis=0), 1e-12)
-    middle = z[1:-1, 1:-1]
-    bend_x = np.abs(z[1:-1, 2:] + z[1:-1, :-2] - 2 * middle)
-    bend_y = np.abs(z[2:, 1:-1] + z[:-2, 1:-1] - 2 * middle)
-    rise = np.abs(z[1:-1, 2:] - z[1:-1, :-2]) + np.abs(z[2:, 1:-1] - z[:-2, 1:-1])
-    inner = solid[1:-1, 1:-1] & solid[1:-1, 2:] & solid[1:-1, :-2] & solid[2:, 1:-1] & solid[:-2, 1:-1]
-    smooth = inner & (bend_x + bend_y < 0.1 * rise + 1e-4 * middle) & (rise < 0.3 * middle)
-    n = np.where((n * point[:, 1:-1, 1:-1]).sum(0) > 0, -n, n)
+    n = np.where((n * point[:, here, middle]).sum(0) > 0, -n, n)
+    own, (a, b, c, d) = z[here, middle], (z[side] for side in sides)
+    bend = np.abs(a + b - 2 * own) + np.abs(c + d - 2 * own)
+    rise = np.abs(b - a) + np.abs(d - c)
+    inner = np.logical_and.reduce([solid[here, middle], *(solid[side] for side in sides)])
+    smooth = inner & (bend < 0.1 * rise + 1e-4 * own) & (rise < 0.3 * own)
     where = np.zeros((height, width), bool)
-    where[1:-1, 1:-1] = smooth
+    where[here, middle] = smooth
     return n[:, smooth].T, where
 
 
@@ -174,8 +177,8 @@ def tone_of(take: Take) -> Tone | None:
     frames = take.full("color")
     if not frames:
         return None
-    color = [np.nan_to_num(take.stored[t]["color"][:3].astype(np.float32), posinf=65504) for t in frames]
-    values = np.concatenate([c.reshape(3, -1)[:, ::7] for c in color], 1)
+    values = np.concatenate([take.stored[t]["color"][:3].reshape(3, -1)[:, ::7] for t in frames], 1)
+    values = np.nan_to_num(values.astype(np.float32), posinf=65504)
     peak = float(values.max())
     clipped = float((values.max(0) > peak * 0.998).mean()) if 0.9 < peak < 1.02 else 0.0
     ratios = [albedo_edges(take, t) for t in take.full("color", "albedo")]
@@ -187,20 +190,20 @@ def tone_of(take: Take) -> Tone | None:
 def albedo_edges(take: Take, t: int) -> np.ndarray:
     """Change of log colour over change of log albedo between neighbours where only the albedo jumps."""
     stored = take.stored[t]
-    color = np.nan_to_num(stored["color"][:3].astype(np.float64)).clip(1e-6)
-    albedo = np.nan_to_num(stored["albedo"][:3].astype(np.float64)).clip(1e-6)
-    if albedo.shape != color.shape:
+    if stored["albedo"].shape[1:] != stored["color"].shape[1:]:
         return np.zeros(0)
+    height, width = stored["color"].shape[1:]
     out = []
     for axis in (1, 2):
-        some = (
-            (slice(None), slice(None), thinned(color.shape[2])) if axis == 1 else (slice(None), thinned(color.shape[1]))
+        some = (slice(3), slice(None), thinned(width)) if axis == 1 else (slice(3), thinned(height))
+        albedo, color = (
+            np.nan_to_num(stored[name][some].astype(np.float64)).clip(1e-6) for name in ("albedo", "color")
         )
-        (a, b), (c, d) = apart(albedo[some], axis), apart(color[some], axis)
+        (a, b), (c, d) = apart(albedo, axis), apart(color, axis)
         jump, change, low = np.log(a / b), np.log(c / d), np.minimum(a, b)
         use = (np.abs(jump) > 0.35) & (low > 0.1)
         for name, most in (("depth", 0.02), ("normal", 0.05)):
-            if name in stored and stored[name].shape[1:] == color.shape[1:]:
+            if name in stored and stored[name].shape[1:] == (height, width):
                 a, b = apart(np.nan_to_num(stored[name][some].astype(np.float64), posinf=1e9), axis)
                 size = 1.0 if name == "normal" else np.maximum(np.abs(b), 1e-9)
                 use &= (np.abs(a - b) / size).max(0) < most

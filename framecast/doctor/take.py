@@ -1,6 +1,7 @@
 """What the experiments look at: some frames of a folder, their layers as stored, and images that can be compared."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -37,7 +38,7 @@ class Take:
     stored: Sequence[Mapping[str, np.ndarray]]
     """Layers as stored, `c h w`, by the names of `Frame`: colour and `SOMETIMES` only in a few frames."""
     images: Sequence[np.ndarray]
-    """Colour made comparable, `3 h w`, half floats."""
+    """Colour made comparable, `3 h w`."""
     records: Sequence[Record]
     recorded: frozenset[str]
     """What the records really know: jitter, cameras, lens."""
@@ -100,9 +101,8 @@ def load(source: Source) -> Take:
     level = 0.0
     stored, kept, blemishes = [], [], dict[str, int]()
     sizes: dict[str, tuple[int, ...]] = {}
-    for position in positions:
+    for position, planes in zip(positions, _read_ahead(source, positions, keep), strict=True):
         number = source.numbers[position]
-        planes = source.read(number, (*ALWAYS, *SOMETIMES) if position in keep else ALWAYS)
         for name, pixels in planes.items():
             if sizes.setdefault(name, pixels.shape[1:]) != pixels.shape[1:]:
                 raise ClipError(_other_size(source, name, number, pixels.shape[1:], sizes[name]))
@@ -113,7 +113,7 @@ def load(source: Source) -> Take:
             continue
         color = linear(source, planes["color"])
         level = level or max(float(np.median(np.nan_to_num(color, posinf=0, neginf=0))), 1e-4)
-        kept.append(comparable(color, level).astype(np.float16))
+        kept.append(comparable(color, level))
         if position not in keep:
             planes.pop("color")
         stored.append(planes)
@@ -129,6 +129,20 @@ def load(source: Source) -> Take:
         tuple(numbers), stored, kept, records, source.recorded, joined, gap / source.span if source.span else 1.0,
         level, blemishes,
     )  # fmt: skip
+
+
+def _read_ahead(source: Source, positions: Sequence[int], keep: Collection[int]) -> Iterator[dict[str, np.ndarray]]:
+    """Buffers as stored, those of the next frame read while the ones before are looked at."""
+
+    def read(position: int) -> dict[str, np.ndarray]:
+        return source.read(source.numbers[position], (*ALWAYS, *SOMETIMES) if position in keep else ALWAYS)
+
+    with ThreadPoolExecutor(1) as reader:
+        coming = reader.submit(read, positions[0])
+        for position in positions[1:]:
+            planes, coming = coming.result(), reader.submit(read, position)
+            yield planes
+        yield coming.result()
 
 
 def linear(source: Source, color: np.ndarray) -> np.ndarray:
