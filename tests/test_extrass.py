@@ -2,17 +2,33 @@
 
 import warnings
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 import torch
+from jaxtyping import Float
 from passing import H, W, run, shot
+from torch import Tensor
 
+from framecast.color import untonemap
 from framecast.frame import Frame, concatenate, unshaded
-from framecast.methods.extrass import ACCUMULATED, ALONE, GUESSED, KEPT, Config, ExtraSS, loss, recipe
+from framecast.methods.extrass import (
+    ACCUMULATED,
+    ALONE,
+    GUESSED,
+    KEPT,
+    Config,
+    ExtraSS,
+    Gathered,
+    Predicted,
+    loss,
+    recipe,
+)
 from framecast.methods.guided import GuidedWarp, extrapolated
 from framecast.methods.larger import encoded
-from framecast.methods.taau import TAAU
+from framecast.methods.taau import TAAU, mix
 from framecast.nets import multiply_accumulates, parameters
+from framecast.resample import from_ycocg, phases
 
 SIZE = (2 * H, 2 * W)
 
@@ -24,24 +40,27 @@ def alternating(count: int = 4, *, speed: float = 3.0, square: float | None = No
     return [unshaded(frame) if t % 2 else frame for t, frame in enumerate(frames)]
 
 
-def fresh(last: float = -30.0, frame: float = -30.0) -> ExtraSS:
-    """The method with a decoder that adds nothing, and these logits of the last image and of the enlarged frame."""
+def fresh(last: float = -30.0, frame: float = -30.0, believed: float = 30.0, counts: float = 0.0) -> ExtraSS:
+    """The method with a decoder that adds nothing, and these logits of the last image, of the enlarged frame and of
+    history, and of what the frame counts."""
     torch.manual_seed(0)
     method = ExtraSS().eval()
     with torch.no_grad():
         method.decoder.leave.weight.zero_()
         assert method.decoder.leave.bias is not None
         method.decoder.leave.bias[12:16] = last
-        method.decoder.leave.bias[16:] = frame
+        method.decoder.leave.bias[16:20] = frame
+        method.decoder.leave.bias[20:24] = believed
+        method.decoder.leave.bias[24:] = counts
     return method
 
 
 def test_parameters_and_operations_are_those_written_down() -> None:
     method = ExtraSS()
-    assert parameters(method) == 385_812
+    assert parameters(method) == 394_460
     count = multiply_accumulates(method, lambda: run(method, [shot(0.0)]))
     a, b, c, d = 24, 32, 48, 64
-    whole = 9 * (47 * a + a * a + (a + b) * a + a * a + a * 20)
+    whole = 9 * (63 * a + a * a + (a + b) * a + a * a + a * 28)
     half = 9 * (a * b + b * b + (b + c) * b + b * b)
     quarter = 9 * (b * c + c * c + (c + d) * c + c * c)
     eighth = 9 * (c * d + d * d)
@@ -68,7 +87,8 @@ def test_an_unshaded_frame_gives_samples_too() -> None:
     taau, trust = TAAU(), (None, GUESSED + (1 - GUESSED) * known.float(), None)
     state = taau.start(frames[0])
     for k, found in enumerate(run(fresh(), frames)):
-        wanted, state = taau.accumulate(replace(frames[k], color=warped) if k == 1 else frames[k], state, trust[k])
+        frame = replace(frames[k], color=warped) if k == 1 else frames[k]
+        wanted, state = mix(taau.look(frame, state, trust[k]))
         torch.testing.assert_close(encoded(found), encoded(wanted), atol=1e-4, rtol=0)
 
 
@@ -83,8 +103,55 @@ def test_samples_that_are_not_trusted_leave_history_as_it_is() -> None:
     frames, taau = [shot(float(t), speed=0.0, jitter=(0.1 * t, 0.2), span=1.0) for t in range(2)], TAAU()
     _, state = taau.accumulate(frames[0], taau.start(frames[0]))
     nothing = torch.zeros(1, 1, H, W)
-    _, after = taau.accumulate(replace(frames[1], color=torch.rand(1, 3, H, W)), state, nothing)
+    _, after = mix(taau.look(replace(frames[1], color=torch.rand(1, 3, H, W)), state, nothing))
     torch.testing.assert_close(after.weight, state.weight)
+
+
+def test_history_that_the_network_does_not_believe_is_gone() -> None:
+    """The image is the frame's own, and what is known afterwards is worth that one sample."""
+    gathered, made = third(fresh(believed=-30.0))
+    known = gathered.sample.history.weight > 0
+    assert float(known.float().mean()) > 0.5
+    apart = torch.where(known, made.image - own(gathered), 0)
+    torch.testing.assert_close(apart, torch.zeros_like(apart), atol=1e-4, rtol=0)
+    more = torch.where(known, made.history.weight - gathered.sample.confidence, 0)
+    torch.testing.assert_close(more, torch.zeros_like(more), atol=1e-4, rtol=0)
+
+
+def test_a_frame_that_counts_more_is_nearer_to_the_image() -> None:
+    made = [third(fresh(counts=counts)) for counts in (-5.0, 0.0, 5.0)]
+    apart = [float((each.image - own(gathered)).square().mean()) for gathered, each in made]
+    assert apart[0] > 1.5 * apart[1] > 1.5**2 * apart[2]
+
+
+def third(method: ExtraSS) -> tuple[Gathered, Predicted]:
+    """What the method knows and makes of the third of three shaded frames."""
+    frames = [shot(float(t), speed=1.3, square=3.0, jitter=(0.1 * t, -0.2), span=1.0) for t in range(3)]
+    state = method.start(frames[0])
+    with torch.no_grad():
+        for frame in frames[:2]:
+            _, state = method(frame, state)
+        gathered = method.gather(frames[2], state)
+        return gathered, method.predict(gathered, False)
+
+
+def own(gathered: Gathered) -> Float[Tensor, "b 3 H W"]:
+    """The frame's own enlarged image."""
+    return encoded(untonemap(from_ycocg(gathered.sample.image).clamp(0, 1)))
+
+
+def test_nothing_is_added_to_what_stands_still() -> None:
+    """After two periods of the jitter the image stays, whatever the network says of frames that differ by jitter."""
+    torch.manual_seed(4)
+    method, period = ExtraSS().eval(), phases(2.0)
+    torch.nn.init.normal_(method.decoder.leave.weight, std=0.05)
+    corner = [(2 * ((k * 7) % period) / period - 1, 2 * ((k * 3) % period) / period - 1) for k in range(period)]
+    jitters = [(0.5 * x, 0.5 * y) for x, y in corner]
+    frames = [shot(float(t), speed=0.0, square=2.0, jitter=jitters[t % period], span=1.0) for t in range(3 * period)]
+    images = run(method, [unshaded(frame) if t % 2 else frame for t, frame in enumerate(frames)])
+    changes = [float((encoded(a) - encoded(b)).abs().max()) for a, b in pairwise(images)]
+    assert max(changes[: period // 2]) > 0.01
+    assert max(changes[-period // 2 :]) < 1 / 255
 
 
 def test_two_unshaded_frames_follow_both_vectors() -> None:

@@ -7,11 +7,13 @@ Follows: section 4: an unshaded frame begins as the last shaded one, warped by i
          full-size image warped along the motion enters both (recurrent); a spatial loss with a term of its own where
          the warp found nothing, and a temporal loss between the features that the two encoders make of the same frame
          (Eq. 13).
-Differs: What the network adds to is an accumulated image: TAAU's, which takes unshaded frames in, too. Guided warping
-         makes samples of them: last light on the surfaces that were rendered, at their own jitter. The paper's network
-         makes its image from nothing, for which a few small clips are not enough. `ACCUMULATED`, which ships, is that
-         image alone: trained for a quarter of an hour the network adds next to nothing to it.
+Differs: What the network guides is an accumulated image: TAAU's, which takes unshaded frames in, too. Guided warping
+         makes samples of them: last light on the surfaces that were rendered, at their own jitter. The network says how
+         far history is still believed and how much more or less the frame counts, and what to add to that image. The
+         paper's network makes its image from nothing, for which a few small clips are not enough. `ACCUMULATED` is what
+         needs no network.
          The last image enters by at most nine tenths, read between its pixels without overshoot: no error can grow.
+         Where a picture stands still for two periods of the jitter nothing is added any more, and it comes to rest.
          Extrapolated frames begin as the guided warp alone, without the flow of section 4.2 (`refine.py`).
          Layers and widths are ours, for none are published: U-Nets at the size of the input, 24 to 64 channels, full
          size entering and leaving as blocks of 2 x 2 pixels.
@@ -39,10 +41,10 @@ from framecast.methods import larger
 from framecast.methods.guided import Seen, after_cut, extrapolated, require, seen
 from framecast.methods.larger import WHITE, decoded, encoded, nearness, warn_of_stillness
 from framecast.methods.reproject import chosen, steps, surface
-from framecast.methods.taau import TAAU, History
+from framecast.methods.taau import TAAU, History, Sample, mix
 from framecast.nets import padded
 from framecast.recipe import Recipe
-from framecast.resample import enlarge, enlarged_motion, foreground, sharp_warp, tent
+from framecast.resample import enlarge, enlarged_motion, foreground, from_ycocg, sharp_warp, tent
 from framecast.warp import chain, inside
 
 BUFFERS = ("depth", "motion", "albedo", "metallic", "normal")
@@ -55,6 +57,12 @@ KEPT = 0.9
 
 CHOICE = (-3.0, -4.0)
 """Logits of what an untrained network takes of the last image and of the enlarged frame: 4 and 2 hundredths."""
+
+BELIEVED = 5.0
+"""Logit of the part of its weight that an untrained network leaves to history."""
+
+RANGE = 2.0
+"""The network makes a frame count up to this many factors e more or less."""
 
 ALONE = 4
 """Unshaded frames in a row from which on a warning says that nothing was measured with so many."""
@@ -104,8 +112,8 @@ class Gathered:
     """Of its encoder."""
     current: Float[Tensor, "b 3 H W"]
     """The frame itself, or the guided warp, enlarged."""
-    base: Float[Tensor, "b 3 H W"]
-    """What TAAU makes of it."""
+    sample: Sample
+    """The same and history, as TAAU mixes them."""
     last: Float[Tensor, "b 3 H W"]
     """The last image, moved here."""
     usable: Float[Tensor, "b 1 H W"]
@@ -114,11 +122,21 @@ class Gathered:
     """1 where the frame was shaded or its surface found in the last shaded one."""
     reach: Float[Tensor, "b 2 h w"]
     """As in `State`, of this frame."""
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What became of it."""
+
+    image: Float[Tensor, "b 3 H W"]
+    """Tone-mapped, under the sRGB curve."""
     history: History
     """With this frame."""
+    features: tuple[Tensor, ...]
+    """Of the encoder, from the size of the input down."""
 
 
-for _kind in (State, Gathered):
+for _kind in (State, Gathered, Predicted):
     torch.export.register_dataclass(_kind)
 
 
@@ -146,19 +164,20 @@ class Encoder(nn.Module):
 
 
 class Decoder(nn.Module):
-    """From those features, in blocks of 2 x 2: what is added to the image, and the logits of `CHOICE`."""
+    """From those features, in blocks of 2 x 2: what is added to the image, the logits of `CHOICE` and `BELIEVED`, and
+    how much more or less the frame counts."""
 
     def __init__(self, widths: Sequence[int]) -> None:
         super().__init__()
         pairs = reversed(list(pairwise(widths)))
         self.stages = nn.ModuleList(stage(a + b, a, 1) for a, b in pairs)
-        self.leave = nn.Conv2d(widths[0], 20, 3, 1, 1)
+        self.leave = nn.Conv2d(widths[0], 28, 3, 1, 1)
         nn.init.normal_(self.leave.weight, std=1e-3)
         with torch.no_grad():
             assert self.leave.bias is not None
-            self.leave.bias.copy_(torch.tensor((0.0, 0.0, 0.0, *CHOICE)).repeat_interleave(4))
+            self.leave.bias.copy_(torch.tensor((0.0, 0.0, 0.0, *CHOICE, BELIEVED, 0.0)).repeat_interleave(4))
 
-    def forward(self, features: tuple[Tensor, ...]) -> Float[Tensor, "b 5 H W"]:
+    def forward(self, features: tuple[Tensor, ...]) -> Float[Tensor, "b 7 H W"]:
         *others, x = features
         for each, skip in zip(self.stages, reversed(others), strict=True):
             x = each(torch.cat((F.interpolate(x, scale_factor=2.0, mode="bilinear"), skip), 1))
@@ -184,8 +203,8 @@ class ExtraSS(nn.Module):
         self.config = config
         self.taau = TAAU(larger.Config(config.scale))
         if config.network:
-            self.shaded = Encoder(47, config.widths)
-            self.extrapolated = Encoder(51, config.widths)
+            self.shaded = Encoder(63, config.widths)
+            self.extrapolated = Encoder(67, config.widths)
             self.decoder = Decoder(config.widths)
 
     def start(self, frame: Frame) -> State:
@@ -216,8 +235,8 @@ class ExtraSS(nn.Module):
         else:
             larger.require(frame, "extrass", self.needs)
         gathered = self.gather(frame, state)
-        image = self.predict(gathered, frame.color is None)[0] if self.config.network else gathered.base
-        return decoded(image), kept(image, gathered, frame, state)
+        made = self.predict(gathered, frame.color is None)
+        return decoded(made.image), kept(made, gathered, frame, state)
 
     def gather(self, frame: Frame, state: State, *, warped: bool = False) -> Gathered:
         """Everything but the network; with `warped` a shaded frame is treated as if it had not been."""
@@ -233,21 +252,24 @@ class ExtraSS(nn.Module):
             color, known = frame.color, torch.ones_like(frame.depth)
             if color is None or warped:
                 color, known = self.extrapolate(frame, state.shaded, reach)
-            sample = replace(frame, color=color, motion=motion)
-            base, history = self.taau.accumulate(sample, state.history, GUESSED + (1 - GUESSED) * known)
-            base, near = encoded(base), nearness(frame.depth)
+            shown = replace(frame, color=color, motion=motion)
+            sample = self.taau.look(shown, state.history, GUESSED + (1 - GUESSED) * known)
+            near, none = nearness(frame.depth), state.last[:, :1]
             if not self.config.network:  # which alone asks for the rest
-                return Gathered(near, base, base, base, torch.zeros_like(base[:, :1]), known, reach, history)
+                return Gathered(near, state.last, sample, state.last, none, known, reach)
             current = encode_srgb(enlarge(tonemap(color).clamp(max=WHITE), size, frame.jitter, tent, 2).image)
             large = enlarged_motion(foreground(frame.depth, motion)[1], size, frame.jitter)
             usable = (inside(large) & (state.known & ~frame.reset)[:, None, None, None]).float()
             last = sharp_warp(state.last, large) * usable
             where = frame.jitter[:, :, None, None].expand(-1, -1, *near.shape[-2:])
+            base, history = mix(sample)
+            past = encode_srgb(from_ycocg(sample.history.color).clamp(0, 1)) * (sample.history.weight > 0)
             confidence = history.weight / (1 + history.weight)
-            inputs = [F.pixel_unshuffle(torch.cat((current, base, last, usable, confidence), 1), 2), near, where]
+            fine = (current, encoded(base), past, last, usable, confidence, sample.unsettled)
+            inputs = [F.pixel_unshuffle(torch.cat(fine, 1), 2), near, where]
             if frame.color is None or warped:
                 inputs += [frame.albedo, known]
-        return Gathered(torch.cat(inputs, 1), current, base, last, usable, known, reach, history)
+        return Gathered(torch.cat(inputs, 1), current, sample, last, usable, known, reach)
 
     def extrapolate(
         self, frame: Frame, shaded: Seen, reach: Float[Tensor, "b 2 h w"]
@@ -257,24 +279,32 @@ class ExtraSS(nn.Module):
         image, known = extrapolated(frame, shaded, motion=effective)
         return modulate(decode_log(image), surface(frame)), known.float()
 
-    def predict(self, gathered: Gathered, generated: bool) -> tuple[Float[Tensor, "b 3 H W"], tuple[Tensor, ...]]:
-        """The image, tone-mapped under the sRGB curve, and the encoder's features, from the size of the input down."""
-        g, (height, width) = gathered, gathered.base.shape[-2:]
+    def predict(self, gathered: Gathered, generated: bool) -> Predicted:
+        """The image, and what it leaves to the next one."""
+        g = gathered
+        if not self.config.network:
+            image, history = mix(g.sample)
+            return Predicted(encoded(image), history, ())
+        height, width = g.last.shape[-2:]
         features = (self.extrapolated if generated else self.shaded)(padded(g.inputs, 8))
         found = self.decoder(features).float()[..., :height, :width]
-        of_last = KEPT * torch.sigmoid(found[:, 3:4]) * g.usable
-        of_frame = torch.sigmoid(found[:, 4:])
-        return g.base + of_last * (g.last - g.base) + of_frame * (g.current - g.base) + found[:, :3], features
+        with torch.autocast(found.device.type, enabled=False):
+            added, of_last, of_frame, believed, counts = found.split((3, 1, 1, 1, 1), 1)
+            base, history = mix(g.sample, torch.sigmoid(believed), torch.exp(RANGE * torch.tanh(counts)))
+            base, of_last = encoded(base), KEPT * torch.sigmoid(of_last) * g.usable
+            beside = of_last * (g.last - base) + torch.sigmoid(of_frame) * (g.current - base) + added
+            return Predicted(base + g.sample.unsettled * beside, history, features)
 
 
-def kept(image: Float[Tensor, "b 3 H W"], made: Gathered, frame: Frame, state: State) -> State:
+def kept(made: Predicted, gathered: Gathered, frame: Frame, state: State) -> State:
     """The state after a frame. Gradients end here: an image learns from those before it, not for those after."""
     known = torch.ones_like(frame.reset)
-    last = image.detach().clamp(0, 1)
+    last = made.image.detach().clamp(0, 1)
+    history = replace(made.history, color=made.history.color.detach(), weight=made.history.weight.detach())
     if frame.color is None:
-        return State(state.shaded, made.reach, made.history, last, frame.time, known, state.alone + 1)
-    nowhere = torch.zeros_like(made.reach)
-    return State(seen(frame), nowhere, made.history, last, frame.time, known, torch.zeros_like(state.alone))
+        return State(state.shaded, gathered.reach, history, last, frame.time, known, state.alone + 1)
+    nowhere = torch.zeros_like(gathered.reach)
+    return State(seen(frame), nowhere, history, last, frame.time, known, torch.zeros_like(state.alone))
 
 
 def warn_of_solitude(state: State) -> None:
@@ -296,13 +326,14 @@ def loss(method: ExtraSS, frames: Sequence[Frame], targets: Float[Tensor, "b n 3
     state, terms = method.start(frames[0]), list[dict[str, Tensor]]()
     for k, (frame, target) in enumerate(zip(frames, targets.unbind(1), strict=True)):
         gathered = method.gather(frame, state)
-        image, features = method.predict(gathered, frame.color is None)
-        terms.append(compared(image, gathered, encoded(target)))
+        made = method.predict(gathered, frame.color is None)
+        terms.append(compared(made.image, gathered, encoded(target)))
         if frame.color is not None and 0 < k >= len(frames) - 2:
             other = method.gather(frame, state, warped=True)
-            image_of_it, others = method.predict(other, True)
-            terms.append({**compared(image_of_it, other, encoded(target)), "temporal": unlike(features, others)})
-        state = kept(image, gathered, frame, state)
+            guess = method.predict(other, True)
+            unlikeness = unlike(made.features, guess.features)
+            terms.append({**compared(guess.image, other, encoded(target)), "temporal": unlikeness})
+        state = kept(made, gathered, frame, state)
     names = {name for term in terms for name in term}
     return {name: torch.stack([term[name] for term in terms if name in term]).mean() for name in sorted(names)}
 

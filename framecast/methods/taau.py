@@ -85,7 +85,24 @@ class History:
     jitter: Float[Tensor, "b 2"]
 
 
-torch.export.register_dataclass(History)
+@dataclass(frozen=True)
+class Sample:
+    """A frame and what is known where its pixels were, before they are mixed. Colours as in `History`."""
+
+    history: History
+    """At the places where this frame's pixels were, as far as it may be believed."""
+    image: Float[Tensor, "b 3 H W"]
+    """The frame enlarged sharply."""
+    first: Float[Tensor, "b 3 H W"]
+    """The frame enlarged softly, for where nothing is known."""
+    confidence: Float[Tensor, "b 1 H W"]
+    """What the frame's sample counts."""
+    unsettled: Float[Tensor, "b 1 H W"]
+    """1, falling to 0 where nothing has changed for two periods of the jitter, and nothing more is mixed in."""
+
+
+for _kind in (History, Sample):
+    torch.export.register_dataclass(_kind)
 
 
 class TAAU(nn.Module):
@@ -132,10 +149,12 @@ class TAAU(nn.Module):
         warn_of_stillness(state.jitter, frame.jitter, name)
         return self.accumulate(frame, state)
 
-    def accumulate(
-        self, frame: Frame, state: History, trust: Float[Tensor, "b 1 h w"] | None = None
-    ) -> tuple[Float[Tensor, "b 3 H W"], History]:
-        """The arithmetic of `forward`; `trust`, 0 to 1: what each sample counts, where not all are the renderer's."""
+    def accumulate(self, frame: Frame, state: History) -> tuple[Float[Tensor, "b 3 H W"], History]:
+        """The arithmetic of `forward`."""
+        return mix(self.look(frame, state))
+
+    def look(self, frame: Frame, state: History, trust: Float[Tensor, "b 1 h w"] | None = None) -> Sample:
+        """What `mix` takes; `trust`, 0 to 1: what each sample counts, where not all are the renderer's."""
         size = output_size(frame, self.config.scale)
         color = to_ycocg(tonemap(present(frame.color)))
         nearest = nearest_sample((color.shape[-2], color.shape[-1]), size, frame.jitter)
@@ -144,15 +163,10 @@ class TAAU(nn.Module):
         if trust is not None:
             confidence = confidence * pick(trust, nearest)
         image = bounded_lanczos(color, size, frame.jitter)
-        settled = (2 - seen.still / phases(self.config.scale)).clamp(0, 1)
-        known = seen.weight > 0
-        share = settled * confidence / (seen.weight + confidence)
+        unsettled = (2 - seen.still / phases(self.config.scale)).clamp(0, 1)
         # Where nothing is known, what a sharp kernel makes of samples with aliasing is farther from the truth.
         first = enlarge(color, size, frame.jitter, tent, 2).image
-        mixed = torch.where(known, seen.color + share * (image - seen.color), first)
-        weight = torch.where(known, seen.weight + confidence, FIRST + confidence).clamp(max=MOST)
-        made = untonemap(from_ycocg(mixed).clamp(0, 1))
-        return made, replace(seen, color=mixed, weight=weight)
+        return Sample(seen, image, first, confidence, unsettled)
 
     def kernel(self, x: Tensor) -> Tensor:
         """Confidence in a sample at a distance along one axis, in pixels of the render size."""
@@ -166,6 +180,23 @@ class TAA(TAAU):
 
     def __init__(self, config: Config = SAME) -> None:
         super().__init__(config)
+
+
+def mix(
+    sample: Sample, kept: Float[Tensor, "b 1 H W"] | float = 1.0, worth: Float[Tensor, "b 1 H W"] | float = 1.0
+) -> tuple[Float[Tensor, "b 3 H W"], History]:
+    """The image, linear and at least 0, and what is known then: each side by the samples that it is made of.
+
+    Args:
+        kept: by how much history counts less than that.
+        worth: by how much the frame counts more or less.
+    """
+    seen, confidence = sample.history, sample.confidence * worth
+    known, weight = seen.weight > 0, seen.weight * kept
+    share = sample.unsettled * confidence / (weight + confidence)
+    mixed = torch.where(known, seen.color + share * (sample.image - seen.color), sample.first)
+    weight = torch.where(known, weight + confidence, FIRST + sample.confidence).clamp(max=MOST)
+    return untonemap(from_ycocg(mixed).clamp(0, 1)), replace(seen, color=mixed, weight=weight)
 
 
 def reprojected(frame: Frame, state: History, color: Tensor, nearest: Tensor, scale: float) -> History:
