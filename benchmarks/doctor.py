@@ -86,14 +86,12 @@ def unreal(v: np.ndarray, root: bool) -> np.ndarray:
 
 
 def camera_part(frames: Frames, i: int, name: str) -> np.ndarray:
-    """What the cameras alone do between a frame and its neighbour; everything where there is none."""
+    """What the cameras alone do between a frame and its neighbour; nothing where there is none."""
     from framecast.importers.decode import _bare
 
     (here, layers), there = frames[i], neighbour(frames, i, name)
     depth = layers["depth"].astype(np.float32)
-    if there is here:
-        return layers[name].astype(np.float32)
-    if here.view is None or there.view is None:
+    if there is here or here.view is None or there.view is None:
         return np.zeros_like(layers[name], np.float32)
     return camera_motion(_bare(here, depth), _bare(there, depth))[0].numpy()
 

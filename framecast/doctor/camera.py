@@ -54,7 +54,8 @@ class Blanks:
 
 
 def blanks_of(take: Take, scene: Scene) -> Blanks | None:
-    """What becomes of pixels without vectors; None where there are too few of them, or too little texture on them."""
+    """What becomes of pixels without vectors; None where there are too few of them, too little texture on them, or
+    where in most pairs of frames a camera would move them as the whole picture moves."""
     still: list[np.ndarray] = []
     moved, blocks, shares, surfaces = [], [], [], []
     code, depth = np.zeros(2), None
@@ -73,10 +74,12 @@ def blanks_of(take: Take, scene: Scene) -> Blanks | None:
         shift = fit_shift(pair, zero, zero)
         rest = fit_shift(pair, field[0], field[1])
         apart = np.hypot(field[0] + rest[0] - shift[0], field[1] + rest[1] - shift[1]) > 0.3
+        if apart.sum() < 25:
+            continue
         still.append(misfit(pair, zero + shift[0], zero + shift[1])[apart])
         moved.append(misfit(pair, field[0] + rest[0], field[1] + rest[1])[apart])
         blocks.append((pair.block + k * 100)[apart])
-    if len(still) < max(1, len(scene.pairs) // 2):
+    if len(still) < len(scene.pairs) / 3:  # a cut is no camera that moves
         return None
     a, b = np.concatenate(still), np.concatenate(moved)
     if len(a) < 200:

@@ -79,9 +79,9 @@ def examine(folder: Path | str) -> Examined:
         take, steps = take.without(apart), [step for step in steps if step.frame not in apart]
     findings += [*told.findings, *late, *odd]
     fields = fields_of(take, told, _some(take))
-    shake = told.answer.shake if told.answer and told.motion else Shake((), np.zeros((0, 2)), None, None)
     jittered, ahead = False, int(told.answer is not None and "next" in told.answer.best.reading.motion.direction)
-    if told.answer is not None and told.motion is not None and len(shake.measured) >= 2:
+    shake = told.answer.shake if told.answer else Shake((), np.zeros((0, 2)), None, None)
+    if len(shake.measured) >= 2 and (told.motion is not None or shake.certain):
         every = fields_of(take, told, take.pairs, 3)
         said, jitter, jittered = tell_jitter(take, shake, every, settings.jitter, ahead=ahead, partial=bool(told.lacks))
         findings += said

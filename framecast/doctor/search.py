@@ -63,6 +63,11 @@ class Shake:
         return float(np.sqrt(lengths[: -(len(lengths) // 4) or None].mean())) if len(lengths) else 0.0
 
     @property
+    def certain(self) -> bool:
+        """Whether the recorded jitter explains it so well that it needs no other witness."""
+        return self.recorded is not None and fits(self.recorded) and self.recorded.explained > 0.95
+
+    @property
     def follows_record(self) -> bool:
         """Whether the recorded jitter explains it, with any sign."""
         return self.recorded is not None and fits(self.recorded)
@@ -113,7 +118,7 @@ def search(take: Take, scene: Scene, claim: Motion, name: str = "motion") -> Ans
     leader = min((trial(take, scene, r, None, name) for r in finalists), key=lambda t: t.mean)
     if fixed.mean < 1.05 * leader.mean:
         leader = fixed
-    shake = measure_shake(take, scene, leader.reading, name)
+    shake = truest(*(measure_shake(take, scene, r, name) for r in dict.fromkeys((leader.reading, ours))))
     shifts = shifts_of(take, shake)
     final = [trial(take, scene, r, shifts, name) for r in finalists]
     claimed, zero = final[-1], trial(take, scene, still, shifts, name)
@@ -142,6 +147,11 @@ def deviations(reading: Reading, claim: Reading) -> float:
         b.direction in ("previous->current", "next->current")
     )
     return count + towards + 1.5 * (("next" in a.direction) != ("next" in b.direction)) + abs(reading.offset)
+
+
+def truest(shake: Shake, *others: Shake) -> Shake:
+    """Of shifts measured along several readings those that the recorded jitter explains best; the first without any."""
+    return max((shake, *others), key=lambda s: s.recorded.explained if s.recorded else 0.0)
 
 
 def measure_shake(take: Take, scene: Scene, reading: Reading, name: str) -> Shake:
