@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import doctor_scene
@@ -11,12 +12,12 @@ from doctor_scene import SIZE, changed, frames, write
 
 from framecast import exr
 from framecast.cli import main
-from framecast.doctor import camera, motion, probe
+from framecast.doctor import camera, motion, probe, search
 from framecast.doctor.depth import planarity
 from framecast.doctor.edges import Edges, edges_of
 from framecast.doctor.examine import examine
 from framecast.doctor.follow import steps_of
-from framecast.doctor.jitter import halton, sequence_of
+from framecast.doctor.jitter import Match, halton, sequence_of
 from framecast.doctor.motion import displacement
 from framecast.doctor.say_depth import tangents_of, tell_depth
 from framecast.doctor.say_jitter import tell_jitter
@@ -468,3 +469,45 @@ def test_images_are_smoothed_by_1_2_1_and_hold_numbers_only() -> None:
     bad[0], bad[1] = np.inf, -np.inf
     expected = np.log(probe.DARK + np.array([65504 / 2, 0, 0]))
     np.testing.assert_allclose(probe.comparable(bad, 2.0)[:, 1, 1], expected, rtol=1e-6)
+
+
+def test_a_cut_under_a_camera_that_stands_is_no_camera_that_moves(tmp_path: Path) -> None:
+    take = load(open_source(write(tmp_path / "clip", frames(6, jittered=False, step=0))))
+    half = lambda a, t: np.ascontiguousarray(a[:, ::-1, ::-1]) if t >= 3 else a  # noqa: E731
+    roll = np.diag([-1.0, -1, 1, 1])
+    views = [roll @ np.asarray(r.view) if t >= 3 else np.asarray(r.view) for t, r in enumerate(take.records)]
+    spliced = replace(
+        take,
+        images=[half(image, t) for t, image in enumerate(take.images)],
+        stored=[{k: half(a.round(4), t) for k, a in s.items()} for t, s in enumerate(take.stored)],
+        records=[replace(r, view=tuple(map(tuple, v.tolist()))) for r, v in zip(take.records, views, strict=True)],
+    )
+    assert motion.blank(spliced.stored[3]["motion"])[0].mean() > 0.5
+    scene = motion.scene_of(spliced)
+    assert scene is not None
+    moved = camera.camera_fields(spliced, scene, camera.Distance())
+    assert [float(np.abs(back).max()) > 1 for back, _ in moved] == [pair.here == 3 for pair in scene.pairs]
+    assert camera.blanks_of(spliced, scene) is None
+
+
+def test_where_two_pictures_have_nothing_in_common_no_frame_is_missing(take: Take) -> None:
+    told = tell_motion(take, MOTION)
+    noise = np.random.default_rng(1).normal(-1, 1, take.images[4].shape).astype(np.float32)
+    lost = replace(take, images=[noise if t == 4 else image for t, image in enumerate(take.images)])
+    assert {step.factor for step in steps_of(lost, told)} == {1.0}
+
+
+def test_jitter_is_told_where_the_recorded_one_explains_the_shaking_though_vectors_cannot_be_judged(
+    take: Take, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = tell_motion(take, MOTION)
+    assert told.answer is not None
+    shake = told.answer.shake
+    blurred = replace(shake, recorded=Match((0.5, 0.9), 0.85))
+    assert search.truest(blurred, shake) is shake
+    assert shake.certain
+    assert not blurred.certain
+    world = [(replace(r, jitter=(r.jitter[0], -r.jitter[1])), a) for r, a in frames()]
+    unjudged = lambda *a: replace(tell_motion(*a), motion=None)  # noqa: E731
+    monkeypatch.setattr(import_module("framecast.doctor.examine"), "tell_motion", unjudged)
+    assert "jitter.sign" in fixes(examine(write(tmp_path / "clip", world)).report.findings)
