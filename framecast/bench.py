@@ -30,7 +30,7 @@ from framecast.fit import Method, method_named
 from framecast.frame import Frame, moment, unshaded
 from framecast.methods import METHODS
 from framecast.provenance import machine
-from framecast.runtime import can_compile, compiled, inference, placed
+from framecast.runtime import can_compile, compiled, inference, placed, require_device
 from framecast.sample import GAP, scene
 from framecast.stages import Stopwatch, staged, wait
 
@@ -110,8 +110,9 @@ def bench(
     """Rows of every method, by name; the baseline is measured too, and `profile` writes to `trace`.
 
     Raises:
-        ValueError: an unknown method, or one that needs what cannot be compiled here.
+        ValueError: an unknown method or device, or a method that needs what cannot be compiled here.
     """
+    require_device(settings.device)
     names = tuple(dict.fromkeys((baseline, *methods)))
     made = {name: method_named(name, settings.scale) for name in names}
     both = settings.compile and can_compile()

@@ -35,7 +35,8 @@ def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         FileNotFoundError: no such file. ValueError: truncated, damaged, or not of this project.
     """
     if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist; give a file that framecast train wrote (weights.safetensors)")
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise FileNotFoundError(f"{path} {what}; give a file that framecast train wrote (weights.safetensors)")
     try:
         with safe_open(path, framework="pt") as file:
             about = {key: json.loads(text) for key, text in (file.metadata() or {}).items()}
@@ -55,7 +56,7 @@ def describe(name: str, method: Module) -> dict[str, Any]:
 def require(path: Path, about: Mapping[str, Any], name: str, method: Module) -> None:
     """Raises ValueError where a file belongs to another method or another configuration of it."""
     if about["method"] != name:
-        raise ValueError(f"{path} holds {about['method']}, not {name}; use --method {about['method']}, or another file")
+        raise ValueError(f"{path} holds {about['method']}, not {name}; ask for that method, or give another file")
     wanted, found = describe(name, method)["config"], about["config"]
     if found != wanted:
         differ = [key for key in sorted({*wanted, *found}) if wanted.get(key) != found.get(key)]

@@ -70,6 +70,14 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, FileNotFoundError) as error:
         print(f"framecast: {error}", file=sys.stderr)
         return 2
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        print(
+            f"framecast: {where}{error.strerror or error}; free some space or choose another place, then run the same "
+            f"command again",
+            file=sys.stderr,
+        )
+        return 2
     except KeyboardInterrupt:
         print("framecast: interrupted; run the same command again to go on", file=sys.stderr)
         return 130

@@ -156,7 +156,7 @@ class Clip:
                 bad = int(np.count_nonzero(~np.isfinite(pixels)))
                 raise ClipError(
                     f"frame {record.number} of {self.path}: {bad} NaN or infinite pixels in {name}; "
-                    f"render it again, or pass --repair to replace them"
+                    f"render it again, or replace them: --repair of framecast upsample, or of framecast import"
                 )
         return layers
 
@@ -311,6 +311,9 @@ def check(clip: Clip) -> tuple[str, ...]:
             complaints.append(str(error))
             continue
         where = f"frame {record.number} of {clip.path}"
+        lacking = [n for n in BUFFERS if n in clip.layers and n != "color" and getattr(frame, n) is None]
+        if lacking:
+            complaints.append(f"{where}: no {' and no '.join(lacking)}, which the first frame has; render it again")
         if frame.color is not None and bool((frame.color < 0).any()):
             complaints.append(f"{where}: color is below 0; a denoiser or a filter undershot, clamp it")
         if frame.depth is not None and bool((frame.depth <= 0).any()):

@@ -18,7 +18,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Literal
+from typing import IO, Literal
 
 import numpy as np
 import torch
@@ -34,6 +34,9 @@ from framecast.frame import BUFFERS, Frame, concatenate, unshaded
 from framecast.recipe import Recipe
 
 VERSION = 1
+
+SMALLEST = 8
+"""Least height and width of a sample, pixels: losses compare windows of seven."""
 
 Flip = Literal["horizontal", "vertical", "transpose"]
 
@@ -126,9 +129,16 @@ def _write(clip: Clip, home: Path, mark: str) -> None:
     try:
         part.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
-            files = {}
+            files: dict[str, IO[bytes]] = {}
             for index, record in enumerate(track(clip.shown, f"cache {home.name}", transient=True)):
-                for name, pixels in _stored(clip, index, record).items():
+                stored = _stored(clip, index, record)
+                if index and stored.keys() != files.keys():
+                    other = ", ".join(sorted(stored.keys() ^ files.keys()))
+                    raise ClipError(
+                        f"frames {clip.shown[0].number} and {record.number} of {clip.path} differ in {other}, and "
+                        f"training needs all frames whole, those to generate with their colour too; render it again"
+                    )
+                for name, pixels in stored.items():
                     if index == 0:
                         files[name] = stack.enter_context((part / f"{name}.npy").open("wb"))
                         about = {"descr": pixels.dtype.str, "fortran_order": False, "shape": (len(clip), *pixels.shape)}
@@ -273,10 +283,11 @@ class Samples(Dataset[Batch]):
         motion: MotionView = "gap",
     ):
         """`fields`: the buffers to read. `scale`: of the target; above 1 targets are crops of the references. `motion`:
-        of shaded frames with others between them, see `Clip.every`.
+        of shaded frames with others between them, see `Clip.every`. Where a clip is smaller than the recipe's crop, all
+        samples are as small: those of one step are of one size.
 
         Raises:
-            ClipError: a clip lacks references that are needed, or none is long enough.
+            ClipError: a clip lacks references that are needed, or is too small, or none is long enough.
         """
         self.sources, self.recipe, self.seed, self.scale, self.motion = sources, recipe, seed, scale, motion
         self.fields = (*fields, "color", "motion2")
@@ -289,6 +300,16 @@ class Samples(Dataset[Batch]):
         for source in sources:
             if (scale > 1 or recipe.labels) and source.clip.scale != scale:
                 raise ClipError(f"{source.clip.path} has no references {scale:g} times its size; render it with them")
+            if min(source.clip.size) < SMALLEST:
+                height, width = source.clip.size
+                raise ClipError(
+                    f"{source.clip.path} has {width}x{height} pixels, and samples need at least {SMALLEST} either way; "
+                    f"render it larger, or leave it out"
+                )
+        if min(recipe.crop) < SMALLEST:
+            raise ClipError(f"crops of {min(recipe.crop)} pixels are too small to learn from; use {SMALLEST} or more")
+        sides = zip(recipe.crop, *(source.clip.size for source in sources), strict=True)
+        self.crop = tuple(map(min, sides))
 
     def __getitem__(self, number: int) -> Batch:
         """One sample, as a batch of one."""
@@ -298,7 +319,7 @@ class Samples(Dataset[Batch]):
         which = int(rng.choice(len(self.sources), p=weights / weights.sum()))
         source, start = self.sources[which], int(rng.choice(self.starts[which]))
         grid = Fraction(self.scale).limit_denominator(16).denominator  # corners that display pixels share
-        size = tuple(min(a, b) // grid * grid for a, b in zip(self.recipe.crop, source.clip.size, strict=True))
+        size = tuple(min(a, b) // grid * grid for a, b in zip(self.crop, source.clip.size, strict=True))
         corner = tuple(
             grid * int(rng.integers((b - a) // grid + 1)) for a, b in zip(size, source.clip.size, strict=True)
         )
@@ -331,7 +352,8 @@ class Samples(Dataset[Batch]):
                 frames.append(unshaded(part[start + place]) if place % 2 else view[place // 2])
         for place in _places(self.recipe)[-self.recipe.truths :]:
             targets.append(self.truth(source, start + place, corner, size))
-        return frames, torch.stack(targets, 1)
+        spare = dict.fromkeys({"view", "projection"} - {*self.fields})  # which some of the clips may not have
+        return [replace(frame, **spare) for frame in frames], torch.stack(targets, 1)
 
     def truth(
         self, source: Footage, index: int, corner: tuple[int, int], size: tuple[int, int]

@@ -26,7 +26,7 @@ from framecast.frame import Frame, moment, unshaded
 from framecast.metrics import METRICS, lpips_missing, measure
 from framecast.regions import hidden, regions
 from framecast.results import ROLES, Mode, Role, Row
-from framecast.runtime import Output, schedule, stream
+from framecast.runtime import Output, require_device, schedule, stream
 from framecast.video import NAME as VIDEO
 from framecast.video import Film, video_missing
 from framecast.warp import inside, warp
@@ -335,6 +335,7 @@ def refuse(clips: Sequence[Clip], methods: Sequence[str], mode: Mode, settings: 
     """Raises what `evaluate` does."""
     if not methods or not clips:
         raise ValueError("nothing to evaluate; give at least one clip and one method")
+    require_device(settings.device)
     for name in settings.metrics:
         if name not in METRIC_NAMES:
             raise ValueError(f"there is no metric {name!r}; use some of {', '.join(METRIC_NAMES)}")

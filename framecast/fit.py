@@ -32,10 +32,12 @@ def method_named(name: str, scale: float | None = None) -> Method:
     "NAME=FILE" is the method NAME with the weights that a training run wrote, `runs/x/weights.safetensors`; "a+b" is b
     after a (`compose.py`), where the scale is that of the method that does not make frames.
     """
-    if "+" in name:
+    if "+" in name and not Path(name.partition("=")[2]).is_file():
         first, _, second = name.rpartition("+")
-        return after(first, second, scale)
-    name, _, weights = name.partition("=")
+        return after(first.strip(), second.strip(), scale)
+    name, given, weights = name.strip().partition("=")
+    if given and not weights:
+        raise ValueError(f"{name}= names no file of weights; give {name}=FILE, or {name} for the weights that ship")
     names: Mapping[str, Any] = TRAINABLE if weights else METHODS
     if name not in names:
         advice = f"; {name} has no weights of its own: use {name}=FILE" if name in TRAINABLE else ""
@@ -103,8 +105,12 @@ def alike(other: Method, method: Method) -> bool:
     return scale_of(method) in (scale_of(other), *other.scales) and bool({*other.modes} & {*method.modes})
 
 
-def require(clip: Clip, name: str, method: Method) -> None:
-    """Raises ClipError where the clip lacks a field that the method called `name` needs, and says what to do."""
+def require(clip: Clip, name: str, method: Method, *, others: bool = True) -> None:
+    """Raises ClipError where the clip lacks a field that the method called `name` needs, and says what to do.
+
+    Args:
+        others: also name another method that could be used.
+    """
     missing = lacking(clip, method)
     if not missing:
         return
@@ -112,7 +118,7 @@ def require(clip: Clip, name: str, method: Method) -> None:
     able: dict[str, Method] = {other: make() for other, make in METHODS.items()}
     able = {other: m for other, m in able.items() if alike(m, method) and not lacking(clip, m)}
     advice = [f"export the {' and '.join(passes)} pass{'es' if len(passes) > 1 else ''}"] if passes else []
-    if able:
+    if able and others:
         advice.append(f"use --method {max(able, key=lambda other: len(able[other].needs))}")
     todo = ", or ".join(advice) or "render the frames again with it"
     raise ClipError(

@@ -135,8 +135,22 @@ def stream(
         yield from sorted(outputs, key=lambda output: output.time)
 
 
+def require_device(device: torch.device | str) -> None:
+    """Raises ValueError where this machine, or this build of PyTorch, has no such device."""
+    try:
+        torch.ones(1, device=device).item()
+    except (RuntimeError, AssertionError, ImportError) as error:
+        reason = str(error).splitlines()[0].partition(". ")[0].rstrip(".")
+        raise ValueError(f"device {str(device)!r} cannot be used here ({reason}); use --device cpu") from error
+
+
 def placed(method: nn.Module, device: torch.device | str) -> nn.Module:
-    """The method on a device, ready for use, its weights in the order that its networks are fastest with."""
+    """The method on a device, ready for use, its weights in the order that its networks are fastest with.
+
+    Raises:
+        ValueError: there is no such device.
+    """
+    require_device(device)
     method = method.to(device).eval()
     if _rounds(method, device):
         method.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch does not declare it

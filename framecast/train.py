@@ -17,7 +17,7 @@ import json
 import math
 import os
 import time as clock
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -40,6 +40,7 @@ from framecast.importers import open_any
 from framecast.methods import TRAINABLE
 from framecast.nets import has_fast_bfloat16
 from framecast.recipe import Recipe
+from framecast.runtime import require_device
 
 Method = Any
 
@@ -72,11 +73,13 @@ def train(
     """Trains, or goes on training, a method in a run folder; True when the last step is done.
 
     Raises:
-        ValueError: the folder holds another run, a checkpoint is damaged, or the loss is no longer a number.
+        ValueError: no such device, the folder holds another run, a checkpoint is damaged, or the loss is no longer a
+            number.
         ClipError: samples cannot be made, or files not written.
     """
     rank, world = processes(settings.device)
     device = f"cuda:{os.environ.get('LOCAL_RANK', 0)}" if settings.device == "cuda" else settings.device
+    require_device(device)
     fast = settings.precision == "bfloat16" or (settings.precision == "auto" and has_fast_bfloat16(device))
     method = method.to(device, memory_format=torch.channels_last) if fast else method.to(device)
     optimiser = torch.optim.Adam(method.parameters(), lr=0.0, betas=recipe.betas)
@@ -105,7 +108,11 @@ def train(
             learning(method, settled=step >= recipe.settle * recipe.steps)
             for group in optimiser.param_groups:
                 group["lr"] = rate(recipe, step)
-            terms = improve(method, recipe, optimiser, batch, step, fast, folder)
+            terms = improve(method, recipe, optimiser, batch, fast)
+            if terms is None:
+                if rank == 0 and is_sound(method):
+                    save(folder, name, method, optimiser, step)
+                raise ValueError(lost(folder, step, guilty(method, recipe, batch)))
             step += 1
             recorder.step(step, terms, rate(recipe, step - 1))
             if rank == 0 and settings.pictures and step % settings.pictures == 0:
@@ -126,9 +133,12 @@ def learning(method: Method, *, settled: bool) -> None:
 
 
 def improve(
-    method: Method, recipe: Recipe, optimiser: torch.optim.Optimizer, batch: Batch, step: int, fast: bool, folder: Path
-) -> dict[str, Tensor]:
-    """One step of the optimiser; the terms of the loss before it, averaged over the processes."""
+    method: Method, recipe: Recipe, optimiser: torch.optim.Optimizer, batch: Batch, fast: bool
+) -> dict[str, Tensor] | None:
+    """One step of the optimiser; the terms of the loss before it, averaged over the processes.
+
+    None where the gradient is no number: no weight has changed then.
+    """
     optimiser.zero_grad(set_to_none=True)
     with torch.autocast(batch.targets.device.type, torch.bfloat16, enabled=fast):
         terms = recipe.loss(method, batch.frames, batch.targets)
@@ -136,14 +146,28 @@ def improve(
     share([p.grad for p in method.parameters() if p.grad is not None])
     norm = nn.utils.clip_grad_norm_(method.parameters(), recipe.clip_norm)
     if not bool(torch.isfinite(norm)):
-        raise ValueError(
-            f"the loss is no longer a number at step {step}, on {guilty(method, recipe, batch)}; the last good state "
-            f"is kept in {folder / 'checkpoint.safetensors'}. Look at that clip, or lower the learning rate"
-        )
+        return None
     optimiser.step()
     values = torch.stack(list(terms.values())).detach()
     share([values])
     return dict(zip(terms, values, strict=True))
+
+
+def is_sound(method: Method) -> bool:
+    """Whether everything that the method has learnt is a number, statistics of normalisation included."""
+    return all(bool(torch.isfinite(value).all()) for value in method.state_dict().values())
+
+
+def lost(folder: Path, step: int, names: str) -> str:
+    """Says where the loss was no number, and how to go on."""
+    path = folder / "checkpoint.safetensors"
+    good = (
+        f"the last good state is kept in {path}: begin another run with it (--initial, another "
+        f"--seed), or leave that clip out"
+        if path.is_file()
+        else "no state was saved before it: leave that clip out, or take another --seed"
+    )
+    return f"the loss is no longer a number at step {step}, on {names}; {good}"
 
 
 def guilty(method: Method, recipe: Recipe, batch: Batch) -> str:
@@ -244,16 +268,29 @@ def save(folder: Path, name: str, method: Method, optimiser: torch.optim.Optimiz
     checkpoint.save(folder / "weights.safetensors", weights, {**about, "step": step})
 
 
+def single(about: Mapping[str, Any], keys: Iterable[str]) -> dict[str, Any]:
+    """What is said of a run under these keys, each value by itself; those of its recipe become "recipe steps" etc."""
+    plain: dict[str, Any] = {}
+    for key in keys:
+        value = about.get(key)
+        plain |= {f"{key} {k}": v for k, v in value.items()} if isinstance(value, dict) else {key: value}
+    return plain
+
+
 def resume(folder: Path, name: str, method: Method, optimiser: torch.optim.Optimizer, about: Mapping[str, Any]) -> int:
     """Puts the last checkpoint of a run back; the number of steps done.
 
     Raises:
         ValueError: the folder holds a run with other settings, or a damaged checkpoint.
     """
-    found = json.loads((folder / "config.json").read_text())
-    differ = [key for key in about if found.get(key) != about[key]]
+    try:
+        found = json.loads((folder / "config.json").read_text())
+    except ValueError as error:
+        raise ValueError(f"{folder / 'config.json'} is damaged ({error}); choose another folder") from error
+    held, wanted = single(found if isinstance(found, dict) else {}, about), single(about, about)
+    differ = [key for key in dict.fromkeys((*wanted, *held)) if held.get(key) != wanted.get(key)]
     if differ:
-        each = ", ".join(f"{key} {found.get(key)} instead of {about[key]}" for key in differ)
+        each = ", ".join(f"{key} {held.get(key)} instead of {wanted.get(key)}" for key in differ)
         raise ValueError(f"{folder} holds another run: {each}; choose another folder, or use the settings of that run")
     path = folder / "checkpoint.safetensors"
     if not path.is_file():
@@ -262,10 +299,12 @@ def resume(folder: Path, name: str, method: Method, optimiser: torch.optim.Optim
     checkpoint.require(path, said, name, method)
     checkpoint.put(method, {k: v for k, v in tensors.items() if not k.startswith("optimiser.")}, path)
     for parameter, tensor in method.named_parameters():
-        state = {key: tensors[f"optimiser.{key}.{parameter}"] for key in ("step", "exp_avg", "exp_avg_sq")}
-        optimiser.state[tensor] = {
-            key: value if key == "step" else torch.empty_like(tensor).copy_(value) for key, value in state.items()
-        }
+        names = {key: f"optimiser.{key}.{parameter}" for key in ("step", "exp_avg", "exp_avg_sq")}
+        state = {key: tensors[name] for key, name in names.items() if name in tensors}
+        if state:  # a weight that the loss has not reached yet has none
+            optimiser.state[tensor] = {
+                key: value if key == "step" else torch.empty_like(tensor).copy_(value) for key, value in state.items()
+            }
     return int(said["step"])
 
 
@@ -289,11 +328,11 @@ class Recorder:
                 self.board = SummaryWriter(folder / "tensorboard", purge_step=start)
 
     def _keep_until(self, start: int) -> None:
-        """Drops lines of steps that are done again."""
-        lines = self.path.read_text().splitlines() if self.path.is_file() else []
-        kept = [line for line in lines if json.loads(line)["step"] <= start]
+        """Drops lines of steps that are done again, and one that was cut off when the run was."""
+        lines = self.path.read_text().splitlines(keepends=True) if self.path.is_file() else []
+        kept = [line for line in lines if line.endswith("\n") and json.loads(line)["step"] <= start]
         with whole(self.path) as temporary:
-            temporary.write_text("".join(line + "\n" for line in kept))
+            temporary.write_text("".join(kept))
 
     def __enter__(self) -> "Recorder":
         self.progress.start()
@@ -377,6 +416,10 @@ def command(
         cache: folder for the training cache, instead of the user's cache folder.
     """
     make, recipe = trainable(method)
+    counts = {"steps": steps, "batch": batch, "crop": crop, "log": settings.log, "save": settings.save}
+    for name, count in counts.items():
+        if count is not None and count < 1:
+            raise ValueError(f"--{name} is {count}; it has to be a whole number, at least 1")
     square = recipe.crop if crop is None else (crop, crop)
     recipe = replace(recipe, steps=steps or recipe.steps, batch=batch or recipe.batch, crop=square)
     paths = sorted(Path(path) for path in glob.glob(clips))
@@ -389,7 +432,7 @@ def command(
     sources = []
     for path in paths:
         clip = open_any(path)
-        require(clip, method, made)
+        require(clip, method, made, others=False)
         sources.append(footage(clip, cache, labels=recipe.labels))
     done = train(method, made, recipe, sources, out, settings)
     if dist.is_initialized():

@@ -299,6 +299,36 @@ def test_no_sample_crosses_a_cut(clip: Clip, tmp_path: Path) -> None:
     assert {int(samples(source)[n].frames[0].time) for n in range(12)} == {2, 3}
 
 
+def smaller(source: Footage, height: int, width: int, *, cameras: bool = True) -> Footage:
+    """The top left corner of a clip, as a clip of its own."""
+    records = source.clip.records if cameras else [replace(r, view=None, projection=None) for r in source.clip.records]
+    part = replace(source.clip, size=(height, width), records=tuple(records))
+    return Footage(part, {name: array[..., :height, :width] for name, array in source.arrays.items()})
+
+
+def test_clips_of_several_sizes_make_samples_of_one(source: Footage) -> None:
+    """As large as the smallest clip, where the crop is larger; else nothing changes."""
+    for crop, size in (((64, 32), (12, 30)), ((16, 16), (12, 16)), ((10, 10), (10, 10))):
+        many = Samples([source, smaller(source, 12, 30)], replace(SMALL, crop=crop), fields=FIELDS, seed=0)
+        batch = next(batches(many, 0))
+        assert batch.targets.shape[-2:] == size
+        assert all(frame.size == size for frame in batch.frames)
+
+
+def test_cameras_that_some_clips_lack_are_left_out_where_nobody_asks_for_them(source: Footage) -> None:
+    fields = [name for name in FIELDS if name not in ("view", "projection")]
+    sources = [source, smaller(source, 16, 16, cameras=False)]
+    for batch in batches(Samples(sources, SMALL, fields=fields, seed=0), 0):
+        assert all(frame.view is None and frame.projection is None for frame in batch.frames)
+
+
+def test_samples_that_are_too_small_are_refused(source: Footage) -> None:
+    with pytest.raises(ClipError, match=r"has 7x12 pixels, and samples need at least 8 either way"):
+        Samples([source, smaller(source, 12, 7)], SMALL, fields=FIELDS, seed=0)
+    with pytest.raises(ClipError, match="crops of 4 pixels are too small"):
+        samples(source, crop=(16, 4))
+
+
 def test_clips_that_are_too_short_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ClipError, match="6 frames of one shot"):
         samples(footage(write_shots(tmp_path / "short", 5), tmp_path / "cache"))

@@ -12,6 +12,7 @@ from framecast.color import to_display
 from framecast.fit import method_named
 from framecast.frame import Frame, concatenate, moment
 from framecast.methods.mobfgsr import Config, MobFGSR
+from framecast.methods.mobfgsr_sr import samples
 from framecast.resample import jitter, phases
 
 H, W = 16, 24
@@ -80,6 +81,16 @@ def test_a_still_scene_converges_and_comes_to_rest() -> None:
     displayed = [to_display(image) for image in images[-16:]]
     changes = [float((b - a).abs().max()) for a, b in pairwise(displayed)]
     assert max(changes) < 1 / 255
+
+
+@pytest.mark.parametrize("scale", [1.5, 2.0, 3.0])
+def test_samples_weigh_alike_across_and_down(scale: float) -> None:
+    """Columns and rows, and their jitter, exchanged: the same weights exchanged. The released formula fails this."""
+    color = torch.rand(1, 3, 8, 12)
+    plain = samples(color, torch.tensor([[0.3, -0.1]]), scale, 1.5)
+    turned = samples(color.transpose(2, 3).contiguous(), torch.tensor([[-0.1, 0.3]]), scale, 1.5)
+    torch.testing.assert_close(turned.weight, plain.weight.transpose(2, 3))
+    assert float(plain.weight.std()) > 0.1
 
 
 @pytest.mark.parametrize("scale", [1.5, 2.0, 3.0])

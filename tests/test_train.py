@@ -119,6 +119,8 @@ def test_weights_on_the_command_line_are_of_a_trainable_method(tmp_path: Path) -
         method_named(f"hold={tmp_path / 'w.safetensors'}")
     with pytest.raises(ValueError, match="use extranet-published=FILE"):
         method_named("extranet-published")
+    with pytest.raises(ValueError, match="extranet= names no file of weights"):
+        method_named("extranet=")
     with pytest.raises(FileNotFoundError, match="framecast train wrote"):
         method_named(f"extranet={tmp_path / 'w.safetensors'}")
 
@@ -185,8 +187,46 @@ def test_a_loss_that_is_no_number_stops_and_keeps_the_last_good_state(source: Fo
         run(source, tmp_path, replace(RECIPE, loss=Broken(4)))
     assert str(tmp_path / "checkpoint.safetensors") in str(caught.value)
     tensors, about = checkpoint.load(tmp_path / "checkpoint.safetensors")
-    assert about["step"] == 3
+    assert about["step"] == 4
     assert all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values() if tensor.is_floating_point())
+
+
+def test_statistics_that_are_no_numbers_are_not_kept(source: Footage, tmp_path: Path) -> None:
+    """They follow every batch, also the one that ends a run."""
+
+    class Spoiling(Broken):
+        def __call__(self, method: Any, frames: Sequence[Frame], target: Tensor) -> dict[str, Tensor]:
+            terms = super().__call__(method, frames, target)
+            if self.left < 0:
+                next(b for name, b in method.named_buffers() if name.endswith("running_mean")).data.fill_(torch.nan)
+            return terms
+
+    with pytest.raises(ValueError, match=r"step 1, .*no state was saved before it"):
+        run(source, tmp_path / "early", replace(RECIPE, loss=Spoiling(1)))
+    with pytest.raises(ValueError, match=r"step 4, .*last good state is kept"):
+        run(source, tmp_path / "late", replace(RECIPE, loss=Spoiling(4)))
+    assert checkpoint.load(tmp_path / "late" / "checkpoint.safetensors")[1]["step"] == 3
+
+
+def test_a_run_goes_on_with_weights_that_its_loss_does_not_reach(source: Footage, tmp_path: Path) -> None:
+    def go(loss: Any) -> None:
+        method = ExtraNet(TINY)
+        method.idle = torch.nn.Linear(2, 2)
+        train.train("extranet", method, replace(RECIPE, loss=loss), [source], tmp_path, SETTINGS)
+
+    with pytest.raises(KeyboardInterrupt):
+        go(Broken(4, KeyboardInterrupt))
+    go(extranet.loss)
+    assert lines(tmp_path)[-1]["step"] == RECIPE.steps
+
+
+def test_a_line_of_the_log_that_was_cut_off_is_dropped(source: Footage, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run(source, tmp_path, replace(RECIPE, loss=Broken(4, KeyboardInterrupt)))
+    with (tmp_path / "log.jsonl").open("a") as file:
+        file.write('{"step": 5, "lo')
+    run(source, tmp_path)
+    assert [line["step"] for line in lines(tmp_path)] == [1, 2, 3, 4, 5, 6]
 
 
 def test_the_guilty_sample_is_named_alone(source: Footage) -> None:
@@ -204,6 +244,11 @@ def test_another_run_in_the_folder_is_refused(source: Footage, tmp_path: Path) -
     run(source, tmp_path, replace(RECIPE, steps=1))
     with pytest.raises(ValueError, match="holds another run: seed 0 instead of 1"):
         run(source, tmp_path, replace(RECIPE, steps=1), replace(SETTINGS, seed=1))
+    with pytest.raises(ValueError, match="another run: recipe steps 1 instead of 2; choose"):
+        run(source, tmp_path, replace(RECIPE, steps=2))
+    (tmp_path / "config.json").write_text('{"method": ')
+    with pytest.raises(ValueError, match=r"config.json is damaged \(.*\); choose another folder"):
+        run(source, tmp_path, replace(RECIPE, steps=1))
 
 
 def test_weights_of_something_else_are_refused(tmp_path: Path) -> None:
@@ -259,6 +304,9 @@ def test_the_command_refuses_what_it_cannot_do(tmp_path: Path) -> None:
         command("hold", str(tmp_path / "disc"), tmp_path / "run")
     with pytest.raises(FileNotFoundError, match="no clip matches"):
         command("extranet", str(tmp_path / "none*"), tmp_path / "run")
+    for wrong in ({"steps": 0}, {"batch": -1}, {"crop": 0}, {"settings": replace(SETTINGS, save=0)}):
+        with pytest.raises(ValueError, match=r"it has to be a whole number, at least 1"):
+            command("extranet", str(tmp_path / "disc"), tmp_path / "run", **wrong)
     assert not (tmp_path / "run").exists()
 
 

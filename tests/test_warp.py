@@ -145,6 +145,16 @@ def test_splat_keeps_the_nearest_like_its_brute_force_twin() -> None:
                 assert keys[0, j, i] == EMPTY
 
 
+def test_splats_reach_farther_than_packed_vectors_could() -> None:
+    """More than 1023 columns and 511 rows, where vectors packed into 11 and 10 bits would be cut off."""
+    depth, displacement = torch.full((1, 1, 540, 1100), 2.0), torch.zeros(1, 2, 540, 1100)
+    depth[..., 3, 2] = 1.0
+    displacement[0, :, 3, 2] = torch.tensor([1090.0, 530.0])
+    keys = splat(depth, displacement)
+    assert int(key_index(keys)[0, 533, 1092]) == 3 * 1100 + 2
+    assert keys[0, 3, 2] == EMPTY
+
+
 def test_splat_of_a_batch_is_the_batch_of_splats() -> None:
     depth, displacement = torch.rand(2, 1, 8, 9), torch.randn(2, 2, 8, 9) * 2
     both = splat(depth, displacement)
