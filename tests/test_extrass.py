@@ -46,25 +46,25 @@ def fresh(last: float = -30.0, frame: float = -30.0, believed: float = 30.0, cou
     torch.manual_seed(0)
     method = ExtraSS().eval()
     with torch.no_grad():
-        method.decoder.leave.weight.zero_()
-        assert method.decoder.leave.bias is not None
-        method.decoder.leave.bias[12:16] = last
-        method.decoder.leave.bias[16:20] = frame
-        method.decoder.leave.bias[20:24] = believed
-        method.decoder.leave.bias[24:] = counts
+        leave = method.head[2]
+        assert isinstance(leave, torch.nn.Conv2d)
+        assert leave.bias is not None
+        leave.weight.zero_()
+        leave.bias[3:] = torch.tensor([last, frame, believed, counts])
     return method
 
 
 def test_parameters_and_operations_are_those_written_down() -> None:
     method = ExtraSS()
-    assert parameters(method) == 394_460
+    assert parameters(method) == 402_215
     count = multiply_accumulates(method, lambda: run(method, [shot(0.0)]))
     a, b, c, d = 24, 32, 48, 64
-    whole = 9 * (63 * a + a * a + (a + b) * a + a * a + a * 28)
+    whole = 9 * (63 * a + a * a + (a + b) * a + a * a + a * 32)
     half = 9 * (a * b + b * b + (b + c) * b + b * b)
     quarter = 9 * (b * c + c * c + (c + d) * c + c * c)
     eighth = 9 * (c * d + d * d)
-    assert count == H * W * (64 * whole + 16 * half + 4 * quarter + eighth) // 64
+    full = 9 * 23 * 32 + 32 * 7
+    assert count == H * W * (64 * whole + 16 * half + 4 * quarter + eighth) // 64 + 4 * H * W * full
 
 
 def test_where_all_frames_are_shaded_a_network_that_adds_nothing_is_taau() -> None:
@@ -144,7 +144,7 @@ def test_nothing_is_added_to_what_stands_still() -> None:
     """After two periods of the jitter the image stays, whatever the network says of frames that differ by jitter."""
     torch.manual_seed(4)
     method, period = ExtraSS().eval(), phases(2.0)
-    torch.nn.init.normal_(method.decoder.leave.weight, std=0.05)
+    torch.nn.init.normal_(method.head[2].weight, std=0.05)
     corner = [(2 * ((k * 7) % period) / period - 1, 2 * ((k * 3) % period) / period - 1) for k in range(period)]
     jitters = [(0.5 * x, 0.5 * y) for x, y in corner]
     frames = [shot(float(t), speed=0.0, square=2.0, jitter=jitters[t % period], span=1.0) for t in range(3 * period)]
@@ -171,7 +171,7 @@ def test_two_unshaded_frames_follow_both_vectors() -> None:
 def test_each_kind_of_frame_has_its_encoder() -> None:
     torch.manual_seed(1)
     method, frames = ExtraSS().eval(), alternating(2)
-    torch.nn.init.normal_(method.decoder.leave.weight, std=0.1)
+    torch.nn.init.normal_(method.head[2].weight, std=0.1)
     before = run(method, frames)
     with torch.no_grad():
         method.extrapolated.stages[0][0].weight.mul_(2)
@@ -181,7 +181,7 @@ def test_each_kind_of_frame_has_its_encoder() -> None:
 
 
 def test_an_error_in_the_last_image_dies_out_whatever_the_network_says() -> None:
-    """It enters by nine tenths, at most, and reads between pixels do not overshoot."""
+    """It enters by nine tenths, at most; reads between pixels are kept within those around them."""
     method, frames = fresh(last=30.0), alternating(6, speed=0.7)
     with torch.no_grad():
         _, state = method(frames[0], method.start(frames[0]))
@@ -190,13 +190,13 @@ def test_an_error_in_the_last_image_dies_out_whatever_the_network_says() -> None
         for k, frame in enumerate(frames[1:], 1):
             states = [method(frame, state)[1] for state in states]
             error = float((states[0].last - states[1].last).abs().max())
-            assert 0 < error <= KEPT**k * apart + 1e-4
+            assert 0 < error <= 1.02 * KEPT**k * apart
 
 
 def test_a_batch_is_its_images_and_a_reset_a_fresh_start() -> None:
     torch.manual_seed(2)
     method = ExtraSS().eval()
-    torch.nn.init.normal_(method.decoder.leave.weight, std=0.05)
+    torch.nn.init.normal_(method.head[2].weight, std=0.05)
     one, two = alternating(4), alternating(4, square=2.0)
     two[2] = replace(two[2], reset=torch.tensor([True]))
     both = run(method, [concatenate(pair) for pair in zip(one, two, strict=True)])

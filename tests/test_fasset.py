@@ -1,7 +1,7 @@
 """FASSET: known sizes, two ways to render, what an untrained network shows, holes, history, any size, losses."""
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import pytest
@@ -34,6 +34,7 @@ from framecast.methods.inr import RenderINR
 from framecast.methods.larger import Config as Size
 from framecast.methods.taau import TAAU
 from framecast.nets import multiply_accumulates, parameters
+from framecast.resample import positions
 
 JITTERS = ((0.0, 0.0), (0.25, -0.3), (-0.2, 0.1), (0.4, 0.2))
 
@@ -91,6 +92,27 @@ def test_features_are_read_where_pixels_lie_between_samples() -> None:
     torch.testing.assert_close(read[0, 0, 4, 3:-3], places[3:-3], atol=1e-4, rtol=0)
 
 
+def test_pixels_of_one_sample_are_told_apart() -> None:
+    """At twice the size the four pixels around a sample read other features, and are told where the sample lies."""
+    maps = torch.randn(1, 3, 6, 8)
+    read = torch.nn.functional.pixel_unshuffle(inr.sampled(maps, (12, 16), torch.zeros(1, 2)), 2)[0, :4, 1:-1, 1:-1]
+    at = positions((6, 8), (12, 16), torch.zeros(1, 2))
+    away = torch.nn.functional.pixel_unshuffle(at.round() - at, 2).unflatten(1, (2, 4))[0]
+    for a, b in combinations(range(4), 2):
+        assert float((read[a] - read[b]).abs().min()) > 0
+        assert float((away[:, a] - away[:, b]).abs().amax(0).min()) == pytest.approx(0.5)
+
+
+def test_depth_enters_alike_whatever_else_is_in_view() -> None:
+    """Of what FrameEncoder sees, one far pixel changes itself alone: depth is not scaled by what the image holds."""
+    near = shot(0.0)
+    assert near.depth is not None
+    depth = near.depth.clone()
+    depth[..., 10, 20] = 60000.0
+    one, other = (inputs_of(fresh(), [frame])[0] for frame in (near, replace(near, depth=depth)))
+    assert (one != other)[0].any(0).nonzero().tolist() == [[10, 20]]
+
+
 @pytest.mark.parametrize(("size", "words"), [((20, 60), "smaller than the frame"), ((48, 60), "another aspect")])
 def test_sizes_that_cannot_be_made_are_refused(size: tuple[int, int], words: str) -> None:
     with pytest.raises(ValueError, match=words):
@@ -116,7 +138,7 @@ def test_as_published_an_untrained_network_shows_the_frame_enlarged_or_the_last_
         torch.testing.assert_close(image[..., 10:], expected[..., 10:], atol=1e-3, rtol=1e-3)
 
 
-def test_a_frame_in_between_is_the_accumulated_image_moved_and_guided_warping_in_holes() -> None:
+def test_a_frame_in_between_is_an_accumulated_image_and_guided_warping_in_holes() -> None:
     frames = alternating(6, square=3.0)
     method = fresh()
     images = run(method, frames)
@@ -137,10 +159,13 @@ def test_a_frame_in_between_is_the_accumulated_image_moved_and_guided_warping_in
     assert aimed.motion is not None
 
 
-def test_what_stands_still_stays_in_frames_in_between() -> None:
+def test_what_stands_still_hardly_changes_in_frames_in_between() -> None:
+    """Light that was accumulated before counts less than that of another shaded frame."""
     frames = alternating(6, speed=0.0)
     images = run(fresh(), frames)
-    torch.testing.assert_close(images[5], images[4], atol=1e-4, rtol=1e-4)
+    more = run(fresh(), [*frames[:5], shot(5.0, speed=0.0, jitter=JITTERS[1], span=1.0)])
+    changed, expected = ((each[5] - images[4]).abs().mean() for each in (images, more))
+    assert float(changed) < 0.5 * float(expected)
 
 
 def test_what_is_added_to_a_still_scene_comes_to_rest() -> None:

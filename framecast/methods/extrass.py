@@ -12,7 +12,7 @@ Differs: What the network guides is an accumulated image: TAAU's, which takes un
          far history is still believed and how much more or less the frame counts, and what to add to that image. The
          paper's network makes its image from nothing, for which a few small clips are not enough. `ACCUMULATED` is what
          needs no network.
-         The last image enters by at most nine tenths, read between its pixels without overshoot: no error can grow.
+         The last image enters by at most nine tenths, read between its pixels without overshoot: errors die out.
          Where a picture stands still for two periods of the jitter nothing is added any more, and it comes to rest.
          Extrapolated frames begin as the guided warp alone, without the flow of section 4.2 (`refine.py`).
          Layers and widths are ours, for none are published: U-Nets at the size of the input, 24 to 64 channels, full
@@ -38,7 +38,7 @@ from framecast.color import decode_log, encode_srgb, modulate, tonemap
 from framecast.frame import Frame
 from framecast.losses import difference
 from framecast.methods import larger
-from framecast.methods.guided import Seen, after_cut, extrapolated, require, seen
+from framecast.methods.guided import GUESSED, Seen, after_cut, extrapolated, require, seen
 from framecast.methods.larger import WHITE, decoded, encoded, nearness, warn_of_stillness
 from framecast.methods.reproject import chosen, steps, surface
 from framecast.methods.taau import TAAU, History, Sample, mix
@@ -49,9 +49,6 @@ from framecast.warp import chain, inside
 
 BUFFERS = ("depth", "motion", "albedo", "metallic", "normal")
 
-GUESSED = 0.25
-"""What a sample counts that was not found in the last shaded frame, but filled in from like surfaces around it."""
-
 KEPT = 0.9
 """Largest part of an image that comes from the last one."""
 
@@ -60,6 +57,15 @@ CHOICE = (-3.0, -4.0)
 
 BELIEVED = 5.0
 """Logit of the part of its weight that an untrained network leaves to history."""
+
+FINE = 15
+"""Channels at full size that the network sees."""
+
+TOLD = 8
+"""Channels that the decoder tells of each pixel."""
+
+INSIDE = 32
+"""Channels of what follows it at full size."""
 
 RANGE = 2.0
 """The network makes a frame count up to this many factors e more or less."""
@@ -110,6 +116,8 @@ class Gathered:
 
     inputs: Float[Tensor, "b c h w"]
     """Of its encoder."""
+    fine: Float[Tensor, "b f H W"]
+    """What of them is of full size, which `Head` sees once more."""
     current: Float[Tensor, "b 3 H W"]
     """The frame itself, or the guided warp, enlarged."""
     sample: Sample
@@ -164,25 +172,33 @@ class Encoder(nn.Module):
 
 
 class Decoder(nn.Module):
-    """From those features, in blocks of 2 x 2: what is added to the image, the logits of `CHOICE` and `BELIEVED`, and
-    how much more or less the frame counts."""
+    """From those features, in blocks of 2 x 2, what `Head` is told of each pixel beside what lies there."""
 
     def __init__(self, widths: Sequence[int]) -> None:
         super().__init__()
         pairs = reversed(list(pairwise(widths)))
         self.stages = nn.ModuleList(stage(a + b, a, 1) for a, b in pairs)
-        self.leave = nn.Conv2d(widths[0], 28, 3, 1, 1)
-        nn.init.normal_(self.leave.weight, std=1e-3)
-        with torch.no_grad():
-            assert self.leave.bias is not None
-            self.leave.bias.copy_(torch.tensor((0.0, 0.0, 0.0, *CHOICE, BELIEVED, 0.0)).repeat_interleave(4))
+        self.leave = nn.Conv2d(widths[0], 4 * TOLD, 3, 1, 1)
 
-    def forward(self, features: tuple[Tensor, ...]) -> Float[Tensor, "b 7 H W"]:
+    def forward(self, features: tuple[Tensor, ...]) -> Float[Tensor, "b g H W"]:
         *others, x = features
         for each, skip in zip(self.stages, reversed(others), strict=True):
             x = each(torch.cat((F.interpolate(x, scale_factor=2.0, mode="bilinear"), skip), 1))
         found: Tensor = F.pixel_shuffle(self.leave(x), 2)
         return found
+
+
+class Head(nn.Sequential):
+    """At full size: what is added to the image, the logits of `CHOICE` and `BELIEVED`, and how much more or less the
+    frame counts."""
+
+    def __init__(self) -> None:
+        leave = nn.Conv2d(INSIDE, 7, 1)
+        super().__init__(nn.Conv2d(FINE + TOLD, INSIDE, 3, 1, 1), nn.ReLU(), leave)
+        nn.init.normal_(leave.weight, std=1e-3)
+        with torch.no_grad():
+            assert leave.bias is not None
+            leave.bias.copy_(torch.tensor((0.0, 0.0, 0.0, *CHOICE, BELIEVED, 0.0)))
 
 
 class ExtraSS(nn.Module):
@@ -203,9 +219,10 @@ class ExtraSS(nn.Module):
         self.config = config
         self.taau = TAAU(larger.Config(config.scale))
         if config.network:
-            self.shaded = Encoder(63, config.widths)
-            self.extrapolated = Encoder(67, config.widths)
+            self.shaded = Encoder(4 * FINE + 3, config.widths)
+            self.extrapolated = Encoder(4 * FINE + 7, config.widths)
             self.decoder = Decoder(config.widths)
+            self.head = Head()
 
     def start(self, frame: Frame) -> State:
         """The state before the first frame, which is `frame`: nothing is known.
@@ -256,7 +273,7 @@ class ExtraSS(nn.Module):
             sample = self.taau.look(shown, state.history, GUESSED + (1 - GUESSED) * known)
             near, none = nearness(frame.depth), state.last[:, :1]
             if not self.config.network:  # which alone asks for the rest
-                return Gathered(near, state.last, sample, state.last, none, known, reach)
+                return Gathered(near, none, state.last, sample, state.last, none, known, reach)
             current = encode_srgb(enlarge(tonemap(color).clamp(max=WHITE), size, frame.jitter, tent, 2).image)
             large = enlarged_motion(foreground(frame.depth, motion)[1], size, frame.jitter)
             usable = (inside(large) & (state.known & ~frame.reset)[:, None, None, None]).float()
@@ -265,11 +282,11 @@ class ExtraSS(nn.Module):
             base, history = mix(sample)
             past = encode_srgb(from_ycocg(sample.history.color).clamp(0, 1)) * (sample.history.weight > 0)
             confidence = history.weight / (1 + history.weight)
-            fine = (current, encoded(base), past, last, usable, confidence, sample.unsettled)
-            inputs = [F.pixel_unshuffle(torch.cat(fine, 1), 2), near, where]
+            fine = torch.cat((current, encoded(base), past, last, usable, confidence, sample.unsettled), 1)
+            inputs = [F.pixel_unshuffle(fine, 2), near, where]
             if frame.color is None or warped:
                 inputs += [frame.albedo, known]
-        return Gathered(torch.cat(inputs, 1), current, sample, last, usable, known, reach)
+        return Gathered(torch.cat(inputs, 1), fine, current, sample, last, usable, known, reach)
 
     def extrapolate(
         self, frame: Frame, shaded: Seen, reach: Float[Tensor, "b 2 h w"]
@@ -287,7 +304,8 @@ class ExtraSS(nn.Module):
             return Predicted(encoded(image), history, ())
         height, width = g.last.shape[-2:]
         features = (self.extrapolated if generated else self.shaded)(padded(g.inputs, 8))
-        found = self.decoder(features).float()[..., :height, :width]
+        told = self.decoder(features)[..., :height, :width]
+        found = self.head(torch.cat((g.fine, told), 1)).float()
         with torch.autocast(found.device.type, enabled=False):
             added, of_last, of_frame, believed, counts = found.split((3, 1, 1, 1, 1), 1)
             base, history = mix(g.sample, torch.sigmoid(believed), torch.exp(RANGE * torch.tanh(counts)))

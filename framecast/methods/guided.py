@@ -45,6 +45,9 @@ FAINT = 1e-6
 LIKE = 2 * FAINT
 """Weight from which on a candidate is alike."""
 
+GUESSED = 0.25
+"""What a pixel counts as a sample that was not found in the last shaded frame, but filled in from like surfaces."""
+
 
 @dataclass(frozen=True)
 class Config:
@@ -228,17 +231,29 @@ def extrapolated(
 def after_cut(frame: Frame, past: Seen, name: str) -> Seen:
     """What a frame that was not shaded goes by: the past, but where a shot begins with this very frame its own surfaces
     under the mean light of that past, for nothing else is known of the new shot; with a warning that says so."""
-    if not bool(frame.reset.any()):
+    if not begins_unshaded(frame, name):
         return past
+    fresh = Seen(mean_of(past.light), guides(frame), frame.jitter, frame.time)
+    return Seen(**{f.name: chosen(frame.reset, getattr(fresh, f.name), getattr(past, f.name)) for f in fields(Seen)})
+
+
+def begins_unshaded(
+    frame: Frame, name: str, shown: str = "its surfaces are shown under the mean light of the shot before"
+) -> bool:
+    """Whether a shot begins with a frame that was not shaded; warns of it, and says what is `shown`."""
+    if not bool(frame.reset.any()):
+        return False
     warnings.warn(
         f"a shot begins with the frame at time {float(frame.time[0]):g}, which was not shaded, so that {name} has "
-        f"nothing to extrapolate from: its surfaces are shown under the mean light of the shot before; shade the first "
-        f"frame of every shot",
-        stacklevel=3,
+        f"nothing to extrapolate from: {shown}; shade the first frame of every shot",
+        stacklevel=4,
     )
-    mean = past.light.mean((2, 3), keepdim=True).expand_as(past.light)
-    fresh = Seen(mean, guides(frame), frame.jitter, frame.time)
-    return Seen(**{f.name: chosen(frame.reset, getattr(fresh, f.name), getattr(past, f.name)) for f in fields(Seen)})
+    return True
+
+
+def mean_of(image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
+    """The mean over the pixels of each image, everywhere."""
+    return image.mean((2, 3), keepdim=True).expand_as(image)
 
 
 def require(frame: Frame, name: str, needs: tuple[str, ...], needs_generated: tuple[str, ...]) -> None:
