@@ -30,7 +30,7 @@ from framecast.fit import method_named, require, require_mode, scale_of
 from framecast.frame import Frame
 from framecast.labels import likeliest, show
 from framecast.methods.classifier import Classifier
-from framecast.runtime import Mode, Output, latency, schedule, stream
+from framecast.runtime import Mode, Output, latency, require_device, schedule, stream
 
 Format = Literal["exr", "png", "mp4"]
 Debug = Literal["labels"]
@@ -92,10 +92,11 @@ def upsample(
 
     Raises:
         ClipError: `out` holds something else, the clip cannot be used or read, the disk is full.
-        ValueError: unknown method, or one that cannot run in this mode.
+        ValueError: unknown method or device, or a method that cannot run in this mode.
     """
     if job.rate < 1:
         raise ValueError(f"rate is {job.rate}; it has to be a whole number, at least 1")
+    require_device(device)
     method = method_named(job.method, job.scale)
     if job.mode != "pass":
         require_mode(job.method, method, job.mode)
@@ -213,9 +214,20 @@ def _images(
 ) -> Iterator[Output]:
     """Images from index `first` on. A run that goes on starts early enough to know what came before."""
     start = plan.entry(first, history)
-    frames = (clip[i] for i in range(start, len(clip)))
+    frames = (shaded(clip, i, plan.job) for i in range(start, len(clip)))
     groups = schedule(frames, plan.rate, plan.job.mode, first=start)
     return islice(run(groups), first - start * plan.rate, None)
+
+
+def shaded(clip: Clip, index: int, job: Job) -> Frame:
+    """A frame of the clip; refused where others are to be made around it and it was not shaded itself."""
+    frame = clip[index]
+    if job.mode != "pass" and not frame.is_shaded:
+        raise ClipError(
+            f"frame {clip.shown[index].number} of {clip.path} was not shaded, and --mode {job.mode} makes more frames "
+            f"around those of a clip; pass it as it is, and {job.method} makes the frames without colour: --mode pass"
+        )
+    return frame
 
 
 def _begin(clip: Clip, out: Path, folder: Path, job: Job, overwrite: bool) -> None:

@@ -14,6 +14,7 @@ Modes:   those of the one that makes frames, and pass
 State:   the states of both
 """
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,7 +23,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from framecast.frame import BUFFERS, Frame
-from framecast.methods.larger import Config
+from framecast.methods.larger import Config, Unjittered
 from framecast.methods.reproject import steps
 from framecast.resample import enlarged_motion, nearest_sample, size_at
 from framecast.warp import pick
@@ -89,20 +90,33 @@ class Composed(nn.Module):
     def forward(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 H W"], State]:
         """The image that the second method makes."""
         if frame.color is None and not self.makes:
-            image, second = self.second(self.between(frame, None), state.second)
+            image, second = self.finished(self.between(frame, None), state.second)
             return image, replace(state, second=second)
         image, first = self.first(frame, state.first)
         if frame.color is None:
             late = bool((frame.time >= state.time).all())
             known, time = (state.second, state.time) if late else (state.before, state.earlier)
-            made, _ = self.second(self.between(reaching(frame, time), image), known)
+            made, _ = self.finished(self.between(reaching(frame, time), image), known)
             return made, replace(state, first=first)
-        made, second = self.second(self.between(reaching(frame, state.time), image), state.second)
+        made, second = self.finished(self.between(reaching(frame, state.time), image), state.second)
         return made, State(first, second, state.second, frame.time, state.time)
+
+    def finished(self, frame: Frame, state: Any) -> tuple[Float[Tensor, "b 3 H W"], Any]:
+        """What the second method makes; that images made larger by the first have no jitter is as it should be."""
+        with warnings.catch_warnings():
+            if not self.keeps_samples:
+                warnings.simplefilter("ignore", Unjittered)
+            made: tuple[Tensor, Any] = self.second(frame, state)
+        return made
+
+    @property
+    def keeps_samples(self) -> bool:
+        """Whether what the first method makes is of the size and on the samples of the frames."""
+        return bool(self.makes) and scale_of(self.first) == 1
 
     def between(self, frame: Frame, image: Float[Tensor, "b 3 H W"] | None) -> Frame:
         """The frame that the second method gets: with this image, and where it was made larger, at its size."""
-        if self.makes and scale_of(self.first) == 1:
+        if self.keeps_samples:
             return replace(frame, color=image)
         return enlarged(frame, image, scale_of(self.first))
 

@@ -38,6 +38,7 @@ from torch import Tensor, nn
 
 from framecast.color import decode_log, encode_log, modulate
 from framecast.frame import SKY, Frame
+from framecast.methods.guided import begins_unshaded, mean_of
 from framecast.methods.reproject import (
     GEOMETRY,
     Geometry,
@@ -210,7 +211,8 @@ class ExtraNet(nn.Module):
     def forward(self, frame: Frame, state: History) -> tuple[Float[Tensor, "b 3 H W"], History]:
         """The frame's own image where it was shaded (super-resolved where `scale` says so), else a generated one."""
         if frame.color is None:
-            return self.image(frame, state, steps(frame, state.newest.shows.time, state.newest.shows.jitter)), state
+            past = after_cut(frame, state)
+            return self.image(frame, past, steps(frame, past.newest.shows.time, past.newest.shows.jitter)), state
         state = self.remember(frame, state)
         if self.config.scale == 1:
             return frame.color, state
@@ -269,6 +271,16 @@ class ExtraNet(nn.Module):
         residual = residual if scale > 1 else residual[..., : surfaces.shape[-2], : surfaces.shape[-1]] * surfaces
         base = enlarged(inputs.base, jitter, scale)
         return residual[..., : base.shape[-2], : base.shape[-1]] + base
+
+
+def after_cut(frame: Frame, state: History) -> History:
+    """What a frame that was not shaded goes by: the history, but where a shot begins with this very frame its own
+    surfaces under the mean light of the last one, with a warning."""
+    if not begins_unshaded(frame, "extranet"):
+        return state
+    mean = mean_of(state.newest.light)
+    fresh = Past(mean, geometry(frame), torch.zeros_like(mean[:, :2]))
+    return History(*(_where(frame.reset, fresh, past) for past in (state.newest, state.middle, state.oldest)))
 
 
 def unsteady(inputs: Inputs) -> Float[Tensor, "b 1 h w"]:

@@ -19,6 +19,7 @@ State:   the last shaded frame: light and surfaces
 """
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import torch
@@ -28,7 +29,7 @@ from torch import Tensor, library, nn
 from framecast.color import decode_log, modulate
 from framecast.frame import SKY, Frame, missing
 from framecast.methods.reproject import as_image, as_rows, chosen, filled, light, likeness, squared, steps, surface
-from framecast.warp import inside, warp
+from framecast.warp import inside, landing, warp
 
 STRIDES = (1, 3, 5, 9)
 """Distances of the candidates from the middle one, pixels (Eq. 1)."""
@@ -110,7 +111,7 @@ def guided_warp(
     if motion.device.type == "cpu":
         found = search_elsewhere(kept, *arguments)
     else:
-        found = _searched_at(torch.arange(kept.numel(), device=motion.device), *arguments)
+        found = _searched_everywhere(*arguments)
     return torch.where(kept, straight, found[:, :3]), kept | (found[:, 3:] > LIKE)
 
 
@@ -136,10 +137,8 @@ def _searched_at(
     motion: Float[Tensor, "b 2 h w"],
     screen: float,
 ) -> Float[Tensor, "b 4 h w"]:
-    """At these of the batch's pixels the mean of the heaviest candidates and the largest weight; 0 at the others.
-
-    Nothing is sorted: four running maxima, then a second pass that adds what weighs at least the fourth of them.
-    """
+    """At these of the batch's pixels the mean of the heaviest candidates, those that weigh at least as much as the
+    fourth, and the largest weight; 0 at the other pixels."""
     height, width = image.shape[-2:]
     rows = as_rows(torch.cat((image, there), 1))
     own, vector = as_rows(here)[pixels], as_rows(motion)[pixels]
@@ -155,16 +154,54 @@ def _searched_at(
         alike = torch.exp(-0.5 * (rows[place, 3:] - own).square().sum(1).clamp(max=60))
         places.append(place)
         weights.append(exists * near * (alike + FAINT))
-    most = [torch.zeros_like(x) for _ in range(HEAVIEST)]
-    for weight in weights:
-        for k in range(HEAVIEST):
-            most[k], weight = torch.maximum(most[k], weight), torch.minimum(most[k], weight)
+    most = heaviest(weights)
     total = torch.zeros_like(own[:, :3])
     for place, weight in zip(places, weights, strict=True):
         total = total + (weight * (weight >= most[-1]))[:, None] * rows[place, :3]
     sums = sum(weight * (weight >= most[-1]) for weight in weights)
     found = torch.cat((total / torch.as_tensor(sums).clamp(min=1e-30)[:, None], most[0][:, None]), 1)
     return as_image(found.new_zeros(len(rows), 4).index_copy(0, pixels, found), image)
+
+
+def _searched_everywhere(
+    image: Float[Tensor, "b 3 h w"],
+    there: Float[Tensor, "b 7 h w"],
+    here: Float[Tensor, "b 7 h w"],
+    motion: Float[Tensor, "b 2 h w"],
+    screen: float,
+) -> Float[Tensor, "b 4 h w"]:
+    """`_searched_at` of every pixel, by planes, all candidates at once: it compiles to a few short loops."""
+    height, width = motion.shape[-2:]
+    x = torch.arange(width, device=motion.device) + motion[:, 0]
+    y = torch.arange(height, device=motion.device)[:, None] + motion[:, 1]
+    middle = landing(motion)
+    dx, dy = torch.tensor(OFFSETS, dtype=torch.int32, device=motion.device).T[..., None, None, None]
+    i, j = middle % width + dx, middle // width + dy
+    place = (middle + dy * width + dx).clamp(0, height * width - 1)
+
+    def read(plane: Float[Tensor, "b h w"]) -> Float[Tensor, "k b h w"]:
+        flat = plane.flatten(1).expand(len(OFFSETS), -1, -1)
+        return flat.gather(2, place.flatten(2).long()).view(place.shape)
+
+    exists = (i >= 0) & (i < width) & (j >= 0) & (j < height)
+    near = torch.exp(-0.5 * ((i - x).square() + (j - y).square()) / screen**2)
+    apart = torch.zeros_like(near)
+    for past, now in zip(there.unbind(1), here.unbind(1), strict=True):
+        apart = apart + (read(past) - now).square()
+    weights = exists * near * (torch.exp(-0.5 * apart.clamp(max=60)) + FAINT)
+    most = heaviest(weights.unbind(0))
+    weights = weights * (weights >= most[-1])
+    total = weights.sum(0).clamp(min=1e-30)
+    return torch.stack([(weights * read(plane)).sum(0) / total for plane in image.unbind(1)] + [most[0]], 1)
+
+
+def heaviest(weights: Sequence[Float[Tensor, "*n"]]) -> list[Float[Tensor, "*n"]]:
+    """The largest `HEAVIEST` of each place, in order, by running maxima: nothing is sorted."""
+    most = [torch.zeros_like(weights[0]) for _ in range(HEAVIEST)]
+    for weight in weights:
+        for k in range(HEAVIEST):
+            most[k], weight = torch.maximum(most[k], weight), torch.minimum(most[k], weight)
+    return most
 
 
 class GuidedWarp(nn.Module):

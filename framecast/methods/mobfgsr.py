@@ -43,7 +43,7 @@ from torch import Tensor, nn
 from framecast.color import luminance, to_display, tonemap, untonemap
 from framecast.frame import Frame
 from framecast.methods import mobfgsr_sr as sr
-from framecast.methods.larger import require, uncovered
+from framecast.methods.larger import require, uncovered, warn_of_stillness
 from framecast.methods.pair import Pair, advance, begin
 from framecast.resample import enlarged_motion, nearest_sample
 from framecast.table import resample, shipped_table
@@ -126,6 +126,9 @@ class MobFGSR(nn.Module):
         """
         if frame.color is not None:
             require(frame, "mobfgsr", self.needs)
+            if not isinstance(state, Pair):
+                known = (frame.time > state.pair.current.time)[:, None]
+                warn_of_stillness(torch.where(known, state.jitter, 1.0), frame.jitter, "mobfgsr")
             state = self.shade(frame, state)
             return (frame.color if isinstance(state, Pair) else untonemap(state.image)), state
         if bool((frame.time > pair_of(state).current.time).all()):

@@ -15,7 +15,7 @@ Modes:   extrapolate
 State:   the last shaded frame
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -23,9 +23,11 @@ from torch import Tensor, nn
 
 from framecast.color import decode_log, encode_log, modulate
 from framecast.frame import Frame
+from framecast.methods.guided import begins_unshaded, mean_of
 from framecast.methods.reproject import (
     GEOMETRY,
     Geometry,
+    chosen,
     geometry,
     light,
     occluder_motion,
@@ -79,6 +81,8 @@ class Warp(nn.Module):
         """The frame's own image where it was shaded, else the last one seen along its motion."""
         if frame.color is not None:
             return frame.color, self.start(frame)
+        if begins_unshaded(frame, "warp", "the last frame of the shot before is shown"):
+            frame = at_rest(frame)
         return self.generate(frame, state), state
 
     def generate(self, frame: Frame, state: Last) -> Float[Tensor, "b 3 h w"]:
@@ -105,7 +109,10 @@ class OcclusionWarp(nn.Module):
         """The frame's own image where it was shaded, else the last light along its motion, on its own surfaces."""
         if frame.color is not None:
             return frame.color, self.start(frame)
-        return self.generate(frame, state), state
+        past = state
+        if begins_unshaded(frame, "warp-occlusion"):
+            frame, past = at_rest(frame), replace(state, color=chosen(frame.reset, mean_of(state.color), state.color))
+        return self.generate(frame, past), state
 
     def generate(self, frame: Frame, state: LastSurfaces) -> Float[Tensor, "b 3 h w"]:
         """The last light, along the occluder's motion where the surface was hidden, on the frame's surfaces."""
@@ -114,3 +121,10 @@ class OcclusionWarp(nn.Module):
         seen = valid(now, state.shows, motion)
         around = torch.where(seen, motion, occluder_motion(now.depth, motion))
         return modulate(decode_log(warp(state.color, around)), surface(frame))
+
+
+def at_rest(frame: Frame) -> Frame:
+    """The frame without motion where it resets, which means nothing there."""
+    vectors = {name: image for name in ("motion", "motion_next") if (image := getattr(frame, name)) is not None}
+    still = {name: chosen(frame.reset, torch.zeros_like(image), image) for name, image in vectors.items()}
+    return replace(frame, **still)  # type: ignore[arg-type]
