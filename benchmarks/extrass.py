@@ -149,7 +149,7 @@ def warp(height: int = 720, width: int = 1280, threads: int = 1, repeats: int = 
     some = guided.search_elsewhere
 
     def whole(kept: Tensor, *rest: object) -> Tensor:
-        return guided._searched_at(torch.arange(kept.numel()), *rest)  # type: ignore[arg-type]
+        return guided._searched_everywhere(*rest)  # type: ignore[arg-type]
 
     print("| guided warping | ms |")
     for name, search, run in (

@@ -16,7 +16,7 @@ from framecast.methods.guided import (
     Config,
     GuidedWarp,
     Seen,
-    _searched_at,
+    _searched_everywhere,
     extrapolated,
     guided_warp,
     guides,
@@ -83,10 +83,14 @@ def test_uncovered_background_is_read_from_background() -> None:
 def test_the_search_is_its_brute_force_twin_everywhere_and_where_it_is_asked() -> None:
     image, there, here = noise(3), 2 * noise(7), 2 * noise(7)
     motion = 6 * noise(2) - 3
-    everywhere = _searched_at(torch.arange(H * W), image, there, here, motion, 4.0)
+    everywhere = _searched_everywhere(image, there, here, motion, 4.0)
     kept = noise(1) > 0.3
     some = search_elsewhere(kept, image, there, here, motion, 4.0)
     torch.testing.assert_close(some, everywhere * ~kept)
+    pairs = [torch.cat((each, each.flip(3))) for each in (image, there, here, motion)]
+    torch.testing.assert_close(_searched_everywhere(*pairs, 4.0)[:1], everywhere)
+    mirrored = torch.ones(2, 1, 1, 1, dtype=torch.bool).expand(2, 1, H, W)
+    torch.testing.assert_close(search_elsewhere(~mirrored, *pairs, 4.0), _searched_everywhere(*pairs, 4.0))
     for row, column in ((0, 0), (5, 7), (12, 39), (23, 20), (11, 3)):
         x, y = column + float(motion[0, 0, row, column]), row + float(motion[0, 1, row, column])
         i, j = min(max(round(x), 0), W - 1), min(max(round(y), 0), H - 1)

@@ -108,10 +108,7 @@ def guided_warp(
     straight, read = warp(torch.cat((past.light, there), 1), motion).split((3, 7), 1)
     kept = (squared(read - here) <= config.alike**2) & inside(motion)
     arguments = past.light, there, here, motion, config.screen
-    if motion.device.type == "cpu":
-        found = search_elsewhere(kept, *arguments)
-    else:
-        found = _searched_everywhere(*arguments)
+    found = search_elsewhere(kept, *arguments) if motion.device.type == "cpu" else _searched_everywhere(*arguments)
     return torch.where(kept, straight, found[:, :3]), kept | (found[:, 3:] > LIKE)
 
 
