@@ -352,8 +352,8 @@ class Samples(Dataset[Batch]):
                 frames.append(unshaded(part[start + place]) if place % 2 else view[place // 2])
         for place in _places(self.recipe)[-self.recipe.truths :]:
             targets.append(self.truth(source, start + place, corner, size))
-        spare = dict.fromkeys({"view", "projection"} - {*self.fields})  # which some of the clips may not have
-        return [replace(frame, **spare) for frame in frames], torch.stack(targets, 1)
+        bare = [f if "view" in self.fields else replace(f, view=None, projection=None) for f in frames]
+        return bare, torch.stack(targets, 1)  # cameras that nobody asks for are not in every clip
 
     def truth(
         self, source: Footage, index: int, corner: tuple[int, int], size: tuple[int, int]

@@ -1,4 +1,4 @@
-"""What users get wrong and clips lack: devices, disks, frames without colour or jitter, cuts where nothing is shaded."""
+"""What users get wrong and clips lack: devices, disks, frames without colour or jitter, cuts that nothing begins."""
 
 import warnings
 from dataclasses import replace

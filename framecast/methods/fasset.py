@@ -294,8 +294,7 @@ def seen(frame: Frame, state: State) -> Float[Tensor, "b 1 h w"]:
     part = torch.where(state.gap > 0, frame.span / state.gap, 1.0)  # vectors of both frames over the same time
     moving = old.motion * part[:, None, None, None]
     hole = larger.uncovered(frame, frame.motion, old.depth, moving, old.jitter) | ~inside(frame.motion)
-    fresh = torch.full_like(frame.depth, frame.color is not None)
-    return chosen(frame.reset, fresh, (~hole).float())
+    return chosen(frame.reset, torch.full_like(hole, frame.color is not None), ~hole).float()
 
 
 def moved(kept: Float[Tensor, "b k i j"], frame: Frame) -> Float[Tensor, "b k i j"]:

@@ -127,4 +127,4 @@ def at_rest(frame: Frame) -> Frame:
     """The frame without motion where it resets, which means nothing there."""
     vectors = {name: image for name in ("motion", "motion_next") if (image := getattr(frame, name)) is not None}
     still = {name: chosen(frame.reset, torch.zeros_like(image), image) for name, image in vectors.items()}
-    return replace(frame, **still)  # type: ignore[arg-type]
+    return replace(frame, **still)
