@@ -3,6 +3,7 @@
 Only what the command needs is imported: loading everything takes seconds.
 """
 
+import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -70,6 +71,9 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, FileNotFoundError) as error:
         print(f"framecast: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # who read what is printed has gone, as `head` does; the interpreter shall not write more
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         print(

@@ -24,3 +24,15 @@ def test_every_command_is_a_function_and_is_named_in_the_help(capsys: pytest.Cap
     assert stopped.value.code == 0
     told = capsys.readouterr().out
     assert [name for name in COMMANDS if name not in told] == []
+
+
+def test_it_runs_as_a_module_and_ends_quietly_where_nobody_reads_on() -> None:
+    """`python -m framecast ... | head`."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "framecast", "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 141

@@ -55,6 +55,7 @@ LEVELS = {
     "demo": 6,
     "commands": 6,
     "cli": 7,
+    "__main__": 7,
 }
 
 
