@@ -138,7 +138,7 @@ def test_as_published_an_untrained_network_shows_the_frame_enlarged_or_the_last_
         torch.testing.assert_close(image[..., 10:], expected[..., 10:], atol=1e-3, rtol=1e-3)
 
 
-def test_a_frame_in_between_is_an_accumulated_image_and_guided_warping_in_holes() -> None:
+def test_a_frame_in_between_is_the_accumulated_image_moved_and_guided_warping_in_holes() -> None:
     frames = alternating(6, square=3.0)
     method = fresh()
     images = run(method, frames)
@@ -159,13 +159,10 @@ def test_a_frame_in_between_is_an_accumulated_image_and_guided_warping_in_holes(
     assert aimed.motion is not None
 
 
-def test_what_stands_still_hardly_changes_in_frames_in_between() -> None:
-    """Light that was accumulated before counts less than that of another shaded frame."""
+def test_what_stands_still_stays_in_frames_in_between() -> None:
     frames = alternating(6, speed=0.0)
     images = run(fresh(), frames)
-    more = run(fresh(), [*frames[:5], shot(5.0, speed=0.0, jitter=JITTERS[1], span=1.0)])
-    changed, expected = ((each[5] - images[4]).abs().mean() for each in (images, more))
-    assert float(changed) < 0.5 * float(expected)
+    torch.testing.assert_close(images[5], images[4], atol=1e-4, rtol=1e-4)
 
 
 def test_what_is_added_to_a_still_scene_comes_to_rest() -> None:

@@ -50,6 +50,7 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "extrass-refined": lambda: RefinedWarp(refine.MATCHED),
     "extrass": lambda: ExtraSS(extrass.ACCUMULATED),
     "fasset": lambda: shipped("fasset", FASSET(fasset.BETTER)),
+    "ifrnet": lambda: shipped("ifrnet", IFRNet()),
     "bilinear": Bilinear,
     "lanczos": Lanczos,
     "taa": TAA,

@@ -11,8 +11,8 @@ Follows: section 3: the frame, or the last one warped, multiplied by a mask of i
 Differs: Widths, which are not published, are ours: 0.27 million parameters, as published.
          The residual is added to an image at full size, and an untrained network shows that image. In `PUBLISHED` it is
          the frame enlarged, or the last one warped: without its texture, which the new frame's base colour gives back.
-         What is trained (`BETTER`) adds to more: what TAAU accumulates. A frame that was not shaded gives it samples,
-         too, as guided warping finds them (`guided.py`), for its own image alone. RenderINR sees that
+         What is trained (`BETTER`) adds to more: what TAAU accumulates, for a frame that was not shaded warped to it,
+         and where the last frame did not show the surface guided warping enlarged (`guided.py`). RenderINR sees that
          image at the pixel, how much of it is known, and where the nearest sample lies; it also gives a share of the
          difference between the image and the frame alone, which is added.
          Holes are where the last shaded frame did not show the surface (`larger.uncovered`), for both kinds of frames.
@@ -41,25 +41,27 @@ from framecast.color import decode_log, encode_log, modulate, tonemap, untonemap
 from framecast.frame import BUFFERS, Frame, missing
 from framecast.methods import larger
 from framecast.methods.fasset_network import Config, Network
-from framecast.methods.guided import GUESSED, Seen, after_cut, extrapolated, guides
+from framecast.methods.guided import Seen, after_cut, extrapolated, guides
 from framecast.methods.reproject import chosen, light, steps, surface
-from framecast.methods.taau import TAAU, History, mix
+from framecast.methods.taau import STIR, TAAU, History
 from framecast.nets import padded
 from framecast.recipe import Recipe
 from framecast.resample import (
     at_samples,
     enlarge,
+    enlarged_motion,
+    foreground,
+    from_ycocg,
+    nearest_sample,
     positions,
+    sharp_warp,
     size_at,
     tent,
 )
-from framecast.warp import inside, warp
+from framecast.warp import inside, pick, warp
 
 GBUFFERS = ("depth", "motion", "albedo", "metallic", "normal")
 
-AGAIN = 0.25
-"""What a sample of guided warping counts: its light was accumulated before. On five training clips 0.1 to 1 give images
-of frames ahead within 0.15 dB of one another, and 0.2 to 0.35 dB above the accumulated image moved there."""
 
 PUBLISHED = Config()
 
@@ -206,25 +208,18 @@ class FASSET(nn.Module):
         """What the network begins with for a frame to generate, and the frame with motion to the last shaded one."""
         with torch.no_grad(), torch.autocast(frame.time.device.type, enabled=False):
             frame = aimed(frame, state)
-            found, known = self.found(frame, state)
+            if self.config.base == "warped":
+                found = warp(state.shaded.light, steps(frame, state.shaded.time, state.shaded.jitter))
+            else:
+                found, _ = extrapolated(frame, state.shaded)
             color, mask = modulate(decode_log(found), surface(frame)), seen(frame, state)
             alone = self.enlarged(color, frame)
             if self.config.base == "accumulated":
-                shown = replace(frame, color=color)
-                trust = AGAIN * (GUESSED + (1 - GUESSED) * known)
-                image, history = mix(self.taau.look(shown, state.history, trust))
-                support = history.weight / (1 + history.weight)
-                return Base(encode_log(image), alone, support, encode_log(color), mask, history.still), frame
+                image, share, weight, still = carried(frame, state.history, mask)
+                image = alone + share * (image - alone)
+                return Base(image, alone, weight / (1 + weight), encode_log(color), mask, still), frame
             nothing = torch.zeros_like(alone[:, :1])
             return Base(alone, alone, nothing, encode_log(color), mask, nothing), frame
-
-    def found(self, frame: Frame, state: State) -> tuple[Float[Tensor, "b 3 h w"], Float[Tensor, "b 1 h w"]]:
-        """The light of the last shaded frame on this one, in the log domain, and 1 where it shows these surfaces."""
-        if self.config.base == "warped":
-            moved = warp(state.shaded.light, steps(frame, state.shaded.time, state.shaded.jitter))
-            return moved, torch.ones_like(moved[:, :1])
-        image, known = extrapolated(frame, state.shaded)
-        return image, known.float()
 
     def enlarged(self, color: Float[Tensor, "b 3 h w"], frame: Frame) -> Float[Tensor, "b 3 H W"]:
         """A frame alone at full size, in the log domain."""
@@ -295,6 +290,23 @@ def seen(frame: Frame, state: State) -> Float[Tensor, "b 1 h w"]:
     moving = old.motion * part[:, None, None, None]
     hole = larger.uncovered(frame, frame.motion, old.depth, moving, old.jitter) | ~inside(frame.motion)
     return chosen(frame.reset, torch.full_like(hole, frame.color is not None), ~hole).float()
+
+
+def carried(
+    frame: Frame, history: History, mask: Float[Tensor, "b 1 h w"]
+) -> tuple[Float[Tensor, "b 3 H W"], Float[Tensor, "b 1 H W"], Float[Tensor, "b 1 H W"], Float[Tensor, "b 1 H W"]]:
+    """The accumulated image where the frame shows its content, in the log domain; the share of it that may be shown,
+    less where there is more of a hole around, so that a few pixels beside thin things do not tear it; what it weighs;
+    and for how many frames it stood still, 0 where it moves now."""
+    assert frame.depth is not None
+    assert frame.motion is not None
+    small, size = ((x.shape[-2], x.shape[-1]) for x in (frame.depth, history.color))
+    motion = enlarged_motion(foreground(frame.depth, frame.motion)[1], size, frame.jitter)
+    around = F.avg_pool2d(mask, 3, 1, 1, count_include_pad=False)
+    share = pick(around, nearest_sample(small, size, frame.jitter)) * inside(motion)
+    still = history.still * (share == 1) * (motion.abs().amax(1, keepdim=True) < STIR)
+    image = untonemap(from_ycocg(sharp_warp(history.color, motion)).clamp(0, 1))
+    return encode_log(image), share, warp(history.weight, motion) * share, still
 
 
 def moved(kept: Float[Tensor, "b k i j"], frame: Frame) -> Float[Tensor, "b k i j"]:
