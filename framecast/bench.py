@@ -8,6 +8,7 @@ import ctypes
 import gc
 import json as json_format
 import os
+import re
 import statistics
 import subprocess
 import sys
@@ -323,7 +324,7 @@ def first_calls_elsewhere(name: str, settings: Settings, cache: str) -> dict[Rol
     """`first_calls` in a new process that keeps compiled code in the folder `cache`.
 
     Raises:
-        ValueError: the process failed; the last line of what it printed says why.
+        ValueError: the process failed; says why.
     """
     code = (
         "import json, sys, framecast.bench as b\n"
@@ -337,8 +338,15 @@ def first_calls_elsewhere(name: str, settings: Settings, cache: str) -> dict[Rol
         text=True,
     )
     if done.returncode:
-        raise ValueError(f"{name} cannot be compiled here: {done.stderr.strip().splitlines()[-1]}")
+        raise ValueError(f"{name} cannot be compiled here: {reason(done.stderr)}")
     return json_format.loads(done.stdout.splitlines()[-1])
+
+
+def reason(printed: str) -> str:
+    """The line of a traceback that names the error: torch adds advice to it, and a C++ compiler its warnings."""
+    lines = [line.strip() for line in printed.splitlines() if line.strip()] or ["it said nothing"]
+    named = [line for line in lines if re.match(r"[\w.]+(Error|Exception|Unsupported)\b", line)]
+    return (named or lines)[-1]
 
 
 # The command.

@@ -190,3 +190,14 @@ def test_compile_times_are_of_a_cold_and_a_warm_cache(tmp_path: Path) -> None:
     assert cold.keys() == warm.keys() == {"shaded", "interpolate", "extrapolate"}
     with pytest.raises(ValueError, match="cannot be compiled here"):
         bench.first_calls_elsewhere("blend", replace(settings, device="nowhere"), str(tmp_path))
+
+
+def test_why_a_method_cannot_be_compiled_is_the_error_not_what_stands_around_it() -> None:
+    printed = (
+        'Traceback (most recent call last):\n  File "a.py", line 3, in <module>\n'
+        "torch._inductor.exc.InductorError: CppCompileError: C++ compile error\n\nvec512.h:244: warning: overflow\n\n"
+        'Set TORCHDYNAMO_VERBOSE=1 for the internal stack trace. For even more, set TORCH_LOGS="+dynamo"\n'
+    )
+    assert bench.reason(printed) == "torch._inductor.exc.InductorError: CppCompileError: C++ compile error"
+    assert bench.reason("killed\n") == "killed"
+    assert bench.reason("") == "it said nothing"
