@@ -75,7 +75,7 @@ def upsample(
         repair: replace NaN and infinite pixels of the input, and say how many.
         overwrite: remove what is at OUT first.
         device: cpu, cuda, mps.
-        compile: compile the method: half a minute once for each size, then several times faster.
+        compile: compile the method: some minutes, at worst, once for each size; then it is up to five times as fast.
         debug: labels writes beside each image, as a picture, how the method classified its pixels.
     """
     mode = mode or first_mode(method, fps)

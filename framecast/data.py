@@ -319,7 +319,7 @@ class Samples(Dataset[Batch]):
         which = int(rng.choice(len(self.sources), p=weights / weights.sum()))
         source, start = self.sources[which], int(rng.choice(self.starts[which]))
         grid = Fraction(self.scale).limit_denominator(16).denominator  # corners that display pixels share
-        size = tuple(min(a, b) // grid * grid for a, b in zip(self.crop, source.clip.size, strict=True))
+        size = tuple(side // grid * grid for side in self.crop)
         corner = tuple(
             grid * int(rng.integers((b - a) // grid + 1)) for a, b in zip(size, source.clip.size, strict=True)
         )

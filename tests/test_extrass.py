@@ -41,7 +41,7 @@ def alternating(count: int = 4, *, speed: float = 3.0, square: float | None = No
 
 
 def fresh(last: float = -30.0, frame: float = -30.0, believed: float = 30.0, counts: float = 0.0) -> ExtraSS:
-    """The method with a decoder that adds nothing, and these logits of the last image, of the enlarged frame and of
+    """The method with a head that adds nothing, and these logits of the last image, of the enlarged frame and of
     history, and of what the frame counts."""
     torch.manual_seed(0)
     method = ExtraSS().eval()
