@@ -3,9 +3,11 @@
     python benchmarks/extrass.py input CLIP...     extrass beside taau that is given the same shaded frames, and all
     python benchmarks/extrass.py gaps CLIP...      one, two and three generated frames between shaded ones
     python benchmarks/extrass.py drift CLIP...     300 frames of each clip, forth and back, by parts of 60
+    python benchmarks/extrass.py full CLIP...      the same truth for methods that are given frames of its size
     python benchmarks/extrass.py warp              guided warping, eager and compiled
 
-Clips need references of twice the size. `--method extrass=runs/x/weights.safetensors` measures other weights.
+Clips need references of twice the size, for `full` of their own (`framecast render --scale 1`).
+`--method extrass=runs/x/weights.safetensors` measures other weights.
 """
 
 import statistics
@@ -97,6 +99,26 @@ def against(clip: Clip, index: int, output: Output) -> float:
     return measure(to_display(output.image), to_display(reference), ["psnr"], {"all": None})["all", "psnr"]
 
 
+def full(clips: Clips, methods: str = "warp-occlusion,extranet,extrass-warp,taa+extranet,taa+extrass-warp") -> None:
+    """PSNR of shaded and of generated frames against their anti-aliased references, by scene."""
+    opened = [open_clip(clip) for clip in clips]
+    print("| | " + " | ".join(clip.path.name for clip in opened) + " | mean |")
+    for method in methods.split(","):
+        means: dict[bool, list[float]] = defaultdict(list)
+        for clip in opened:
+            values: dict[bool, list[float]] = defaultdict(list)
+            for start in (0, 1):
+                for output in played(clip, method, 2, start):
+                    index = index_at(clip, output.time)
+                    if index > start + 1:
+                        values[output.generated].append(against(clip, index, output))
+            for generated, found in values.items():
+                means[generated].append(statistics.fmean(found))
+        for generated, found in means.items():
+            cells = [f"{value:.2f}" for value in (*found, statistics.fmean(found))]
+            print(f"| {method}, {'generated' if generated else 'shaded'} | " + " | ".join(cells) + " |", flush=True)
+
+
 def drift(clips: Clips, method: str = "extrass", frames: int = 300, part: int = 60, height: int = 180) -> None:
     """PSNR by parts of a long run, which passes the same frames again and again, of their uppermost rows."""
     for clip in map(open_clip, clips):
@@ -168,4 +190,4 @@ def warp(height: int = 720, width: int = 1280, threads: int = 1, repeats: int = 
 
 
 if __name__ == "__main__":
-    tyro.extras.subcommand_cli_from_dict({"input": input, "gaps": gaps, "drift": drift, "warp": warp})
+    tyro.extras.subcommand_cli_from_dict({"input": input, "gaps": gaps, "full": full, "drift": drift, "warp": warp})

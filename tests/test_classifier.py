@@ -16,7 +16,6 @@ from framecast.methods.classifier import (
     FIRST,
     KEEP,
     RANGE,
-    TAP,
     Classifier,
     Config,
     Mixed,
@@ -32,6 +31,7 @@ from framecast.methods.classifier import (
     slopes,
 )
 from framecast.methods.classifier_buffers import BLUR, Seen, State, look
+from framecast.methods.larger import TAP
 from framecast.nets import multiply_accumulates, parameters
 
 TINY = Config(widths=(8, 16, 32, 64), inner=8)

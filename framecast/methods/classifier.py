@@ -45,7 +45,7 @@ from torch import Tensor, nn
 from framecast.color import to_display, untonemap
 from framecast.frame import Frame
 from framecast.methods.classifier_buffers import BLOCK, CLASSES, Rest, Seen, State, look, rested
-from framecast.methods.larger import WHITE, require, warn_of_stillness
+from framecast.methods.larger import AROUND, WHITE, require, sharpened, warn_of_stillness
 from framecast.nets import BatchNorm, padded
 from framecast.recipe import Recipe
 from framecast.resample import phases, size_at
@@ -68,10 +68,6 @@ GHOSTED = 3.0
 """What a pixel where history fails counts in the loss, against one where it holds."""
 CLASSES_COUNT = 0.5
 """What finding classes counts in the loss."""
-AROUND = tuple((y, x) for y in range(3) for x in range(3) if (y, x) != (1, 1))
-"""Rows and columns, of 3 x 3 pixels, of those around the one in the middle."""
-TAP = 0.5
-"""Most that one of them adds to it or takes from it."""
 
 SHARES = {"ghosting": (0.015, 0.005, 0.98), "aliasing": (0.13, 0.16, 0.71)}
 """About how many pixels of the training clips are of each class."""
@@ -306,12 +302,8 @@ def mix(
     history = seen.history + torch.sigmoid(bound) * unsettled * (seen.bounded - seen.history)
     share = torch.where(seen.worth > 0, new / (old + new).clamp(min=1e-6), 1.0)
     kept = history + share * (current - history)
-    height, width = kept.shape[-2:]
-    wide = F.pad(kept, (1, 1, 1, 1), mode="replicate")
-    added = torch.zeros_like(kept)
-    for (y, x), tap in zip(AROUND, (TAP * torch.tanh(taps)).split(1, 1), strict=True):
-        added = added + tap * (wide[..., y : y + height, x : x + width] - kept)
-    return Mixed((kept + unsettled * added).clamp(0, WHITE), kept, (old + new).clamp(FIRST, MOST))
+    image = (kept + unsettled * sharpened(kept, taps)).clamp(0, WHITE)
+    return Mixed(image, kept, (old + new).clamp(FIRST, MOST))
 
 
 def likelihoods(logits: Float[Tensor, "b 6 H W"]) -> Float[Tensor, "b 6 H W"]:

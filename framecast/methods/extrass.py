@@ -9,16 +9,18 @@ Follows: section 4: an unshaded frame begins as the last shaded one, warped by i
          (Eq. 13).
 Differs: What the network guides is an accumulated image: TAAU's, which takes unshaded frames in, too. Guided warping
          makes samples of them: last light on the surfaces that were rendered, at their own jitter. The network says how
-         far history is still believed and how much more or less the frame counts, and what to add to that image. The
-         paper's network makes its image from nothing, for which a few small clips are not enough. `ACCUMULATED` is what
-         needs no network.
+         far history is still believed and how much more or less the frame counts, and how far the image then goes
+         towards the pixels around each, or away from them. It makes no colour: the paper's network makes its image
+         from nothing, for which a few small clips are not enough. `ACCUMULATED` is what needs no network.
+         What is accumulated learns through all frames of a sample, so that it learns what to keep for later ones.
          The last image enters by at most nine tenths, read between its pixels without overshoot: errors die out.
          Where a picture stands still for two periods of the jitter nothing is added any more, and it comes to rest.
          Extrapolated frames begin as the guided warp alone, without the flow of section 4.2 (`refine.py`).
          Layers and widths are ours, for none are published: U-Nets at the size of the input, 24 to 64 channels, full
          size entering and leaving as blocks of 2 x 2 pixels.
          Samples count where they lie (jitter), and the network is told where.
-         Colour is x / (1 + max) under the sRGB curve. No loss in VGG features, whose weights the package does not have.
+         Colour is x / (1 + max) under the sRGB curve. The spatial loss is the root of the mean square error as
+         displayed, not L1; none in VGG features, whose weights the package does not have.
 Needs:   color, depth, motion, albedo, metallic, normal; of the generated frame the same but color
 Modes:   extrapolate, pass
 State:   the last shaded frame (light, surfaces) and the way to it; what TAAU keeps; the last image at full size
@@ -34,12 +36,12 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from framecast.color import decode_log, encode_srgb, modulate, tonemap
+from framecast.color import decode_log, encode_srgb, modulate, to_display, tonemap
 from framecast.frame import Frame
-from framecast.losses import difference
+from framecast.losses import similarity
 from framecast.methods import larger
 from framecast.methods.guided import GUESSED, Seen, after_cut, extrapolated, require, seen
-from framecast.methods.larger import WHITE, decoded, encoded, nearness, warn_of_stillness
+from framecast.methods.larger import AROUND, WHITE, decoded, encoded, nearness, sharpened, warn_of_stillness
 from framecast.methods.reproject import chosen, steps, surface
 from framecast.methods.taau import TAAU, History, Sample, mix
 from framecast.nets import padded
@@ -189,16 +191,16 @@ class Decoder(nn.Module):
 
 
 class Head(nn.Sequential):
-    """At full size: what is added to the image, the logits of `CHOICE` and `BELIEVED`, and how much more or less the
-    frame counts."""
+    """At full size: how far the image goes towards the pixels around (`larger.sharpened`), the logits of `CHOICE` and
+    `BELIEVED`, and how much more or less the frame counts."""
 
     def __init__(self) -> None:
-        leave = nn.Conv2d(INSIDE, 7, 1)
+        leave = nn.Conv2d(INSIDE, len(AROUND) + 4, 1)
         super().__init__(nn.Conv2d(FINE + TOLD, INSIDE, 3, 1, 1), nn.ReLU(), leave)
         nn.init.normal_(leave.weight, std=1e-3)
         with torch.no_grad():
             assert leave.bias is not None
-            leave.bias.copy_(torch.tensor((0.0, 0.0, 0.0, *CHOICE, BELIEVED, 0.0)))
+            leave.bias.copy_(torch.tensor([0.0] * len(AROUND) + [*CHOICE, BELIEVED, 0.0]))
 
 
 class ExtraSS(nn.Module):
@@ -260,7 +262,7 @@ class ExtraSS(nn.Module):
         assert frame.depth is not None
         assert frame.albedo is not None
         size = (state.last.shape[-2], state.last.shape[-1])
-        with torch.no_grad(), torch.autocast(frame.depth.device.type, enabled=False):
+        with torch.autocast(frame.depth.device.type, enabled=False):
             motion = steps(frame, state.time, frame.jitter)
             motion = chosen(frame.reset, torch.zeros_like(motion), motion)
             spans = frame.time - state.time, state.time - state.shaded.time
@@ -307,18 +309,17 @@ class ExtraSS(nn.Module):
         told = self.decoder(features)[..., :height, :width]
         found = self.head(torch.cat((g.fine, told), 1)).float()
         with torch.autocast(found.device.type, enabled=False):
-            added, of_last, of_frame, believed, counts = found.split((3, 1, 1, 1, 1), 1)
+            taps, of_last, of_frame, believed, counts = found.split((len(AROUND), 1, 1, 1, 1), 1)
             base, history = mix(g.sample, torch.sigmoid(believed), torch.exp(RANGE * torch.tanh(counts)))
             base, of_last = encoded(base), KEPT * torch.sigmoid(of_last) * g.usable
-            beside = of_last * (g.last - base) + torch.sigmoid(of_frame) * (g.current - base) + added
+            beside = of_last * (g.last - base) + torch.sigmoid(of_frame) * (g.current - base) + sharpened(base, taps)
             return Predicted(base + g.sample.unsettled * beside, history, features)
 
 
 def kept(made: Predicted, gathered: Gathered, frame: Frame, state: State) -> State:
-    """The state after a frame. Gradients end here: an image learns from those before it, not for those after."""
-    known = torch.ones_like(frame.reset)
+    """The state after a frame. What is accumulated also learns for the images after this one."""
+    known, history = torch.ones_like(frame.reset), made.history
     last = made.image.detach().clamp(0, 1)
-    history = replace(made.history, color=made.history.color.detach(), weight=made.history.weight.detach())
     if frame.color is None:
         return State(state.shaded, gathered.reach, history, last, frame.time, known, state.alone + 1)
     nowhere = torch.zeros_like(gathered.reach)
@@ -367,12 +368,14 @@ def unlike(shaded: Sequence[Tensor], extrapolated: Sequence[Tensor]) -> Float[Te
 
 
 def compared(image: Float[Tensor, "b 3 H W"], made: Gathered, truth: Float[Tensor, "b 3 H W"]) -> dict[str, Tensor]:
-    """`difference`, and L1 where nothing was found (Eq. 11)."""
+    """5 times the root of the mean square error as displayed, 1 - SSIM, and L1 where nothing was found (Eq. 11)."""
     hole = F.interpolate(1 - made.known, (truth.shape[-2], truth.shape[-1]))
     error = ((image - truth).abs() * hole).mean((1, 2, 3)).sum() / hole.mean((1, 2, 3)).sum().clamp(1e-2)
-    return {**difference(image, truth), "hole": error}
+    shown = to_display(decoded(image)) - to_display(decoded(truth))
+    root = (shown.square().mean((1, 2, 3)) + 1e-6).sqrt().mean()
+    return {"image": 5 * root, "ssim": 0.2 * (1 - similarity(image, truth)), "hole": 0.2 * error}
 
 
 recipe = Recipe(
-    loss=loss, mode="alternate", shaded=4, truths=8, crop=(64, 64), batch=2, steps=620, rate=1e-3, warmup=50
+    loss=loss, mode="alternate", shaded=4, truths=8, crop=(64, 64), batch=2, steps=1500, rate=2e-3, warmup=50
 )

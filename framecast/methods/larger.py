@@ -5,6 +5,7 @@ import warnings
 from dataclasses import dataclass
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -31,6 +32,11 @@ NEARER = 0.05
 
 WHITE = 1 - 2.0**-10
 """Largest tone-mapped value that comes back: 1023 in scene-linear colour."""
+
+AROUND = tuple((y, x) for y in range(3) for x in range(3) if (y, x) != (1, 1))
+"""Rows and columns, of 3 x 3 pixels, of those around the one in the middle."""
+TAP = 0.5
+"""Most that one of them adds to it or takes from it."""
 
 SAME, TWICE = Config(scale=1.0), Config()
 
@@ -138,6 +144,19 @@ def settled(
     large = enlarged_motion(foreground(frame.depth, motion)[1], (added.shape[-2], added.shape[-1]), frame.jitter)
     share = (2 - still / phases(scale)).clamp(0, 1) * 2 / (still + 2)
     return (1 - share) * warp(before, large) + share * added
+
+
+def sharpened(image: Float[Tensor, "b 3 H W"], taps: Float[Tensor, "b 8 H W"]) -> Float[Tensor, "b 3 H W"]:
+    """What to add to an image for it to go towards each of the 8 pixels around (`AROUND`), or away from them.
+
+    Beyond the border the pixel at it is seen. `taps` are logits: 0 adds nothing, and none more than `TAP` of a
+    difference.
+    """
+    height, width = image.shape[-2:]
+    wide, added = F.pad(image, (1, 1, 1, 1), mode="replicate"), torch.zeros_like(image)
+    for (y, x), tap in zip(AROUND, (TAP * torch.tanh(taps)).split(1, 1), strict=True):
+        added = added + tap * (wide[..., y : y + height, x : x + width] - image)
+    return added
 
 
 def output_size(frame: Frame, scale: float) -> tuple[int, int]:
