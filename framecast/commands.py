@@ -107,8 +107,17 @@ def upsample(
 
 
 def first_mode(method: str, fps: int | None) -> Mode:
-    """How frames are made where nobody says: none at one image for each frame, else interpolated where possible."""
+    """How frames are made where nobody says: none at one image for each frame, else interpolated where possible.
+
+    Raises:
+        ValueError: more images are asked for, and the method makes none.
+    """
     modes: tuple[Mode, ...] = method_named(method).modes
+    if fps is not None and fps > 1 and modes == ("pass",):
+        raise ValueError(
+            f"{method} makes no frames, and --fps {fps} asks for {fps} images for each; leave --fps out, or use "
+            f"--method {method}+mobfgsr"
+        )
     return "pass" if fps == 1 else modes[0]
 
 

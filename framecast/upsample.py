@@ -108,7 +108,7 @@ def upsample(
     folder = out.with_name(f".{out.name}.frames") if job.format == "mp4" else out
     _begin(clip, out, folder, job, overwrite)
     plan = Plan(clip, job)
-    done = next((i for i in range(plan.total) if not plan.path(folder, i).is_file()), plan.total)
+    done = _first_missing(plan, folder, debug)
     spent: list[float] = []
     if done < plan.total:
         state: list[Any] = [None]
@@ -118,7 +118,7 @@ def upsample(
             for index, output in zip(progress(range(done, plan.total), plan.total - done), images, strict=True):
                 path = plan.path(folder, index)
                 if debug is not None:
-                    show(output.image, likeliest(state[0].classes), path.with_suffix(".labels.png"))
+                    show(output.image, likeliest(state[0].classes), _labels(path))
                 write_image(path, output.image)
                 spent += [output.milliseconds] if output.generated else []
     if job.format == "mp4" and not out.is_file():
@@ -202,6 +202,20 @@ class Plan:
         return next((i for i in range(shaded, -1, -1) if self.clip.is_cut(i)), 0)
 
 
+def _first_missing(plan: Plan, folder: Path, debug: Debug | None) -> int:
+    """Index of the first image that is not there, or not its labels where they are asked for; the total if none is."""
+
+    def there(path: Path) -> bool:
+        return path.is_file() and (debug is None or _labels(path).is_file())
+
+    return next((i for i in range(plan.total) if not there(plan.path(folder, i))), plan.total)
+
+
+def _labels(path: Path) -> Path:
+    """File of the labels of an image."""
+    return path.with_suffix(".labels.png")
+
+
 def stream_with(
     method: object, device: str, compile: bool, watch: Callable[[Any], None] = lambda state: None
 ) -> Callable[[Iterable[list[Frame]]], Iterator[Output]]:
@@ -231,16 +245,19 @@ def shaded(clip: Clip, index: int, job: Job) -> Frame:
 
 
 def _begin(clip: Clip, out: Path, folder: Path, job: Job, overwrite: bool) -> None:
-    """Make sure that the output is empty or an interrupted run of the same job."""
+    """Make sure that the output is empty or an interrupted run of the same job, and never what is read."""
+    if out.resolve() in (place := clip.path.resolve(), *place.parents):
+        raise ClipError(f"{out} holds the frames that are read, {clip.path}; give another name with -o")
     if overwrite:
         shutil.rmtree(folder, ignore_errors=True)
         if out.is_dir() and not out.is_symlink():
             shutil.rmtree(out)
         else:
             out.unlink(missing_ok=True)
-    asked = json.dumps({"job": asdict(job), "clip": str(clip.path.resolve()), "frames": _identity(clip)}, indent=1)
+    about = {"job": asdict(job), "clip": str(place), "frames": _identity(clip)}
+    asked = json.dumps(about | {"settings": clip.provenance.get("settings")}, indent=1)
     mark = folder / "job.json"
-    if out.is_file():
+    if out.is_file() or (out.is_dir() and folder != out):
         raise ClipError(f"{out} exists already; give another name with -o, or pass --overwrite")
     if mark.is_file() and mark.read_text() == asked:
         return

@@ -181,6 +181,43 @@ def test_an_existing_output_is_kept(disc_clip: Clip, tmp_path: Path, told) -> No
     assert len(list((tmp_path / "p").glob("*.exr"))) == 19
 
 
+@pytest.mark.parametrize("out", ["clip", ".", "clip/../clip"])
+def test_the_frames_that_are_read_are_never_removed(tmp_path: Path, told, out: str) -> None:
+    clip = write_disc_clip(tmp_path / "clip", 2)
+    assert "holds the frames that are read" in told("upsample", clip.path, "-o", tmp_path / out, "--overwrite")
+    assert "holds the frames that are read" in told("upsample", clip.path, "-o", tmp_path / out)
+    assert len(open_clip(clip.path)) == 2
+
+
+def test_a_film_does_not_take_the_place_of_a_folder(disc_clip: Clip, tmp_path: Path, told) -> None:
+    (tmp_path / "film").mkdir()
+    assert "film exists already" in told("upsample", disc_clip.path, "-o", tmp_path / "film", "--format", "mp4")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["disc", "film"]  # said before any image is made
+
+
+def test_images_of_other_settings_are_not_gone_on_with(disc_clip: Clip, tmp_path: Path) -> None:
+    upsample(disc_clip, tmp_path / "o", Job("hold"))
+    other = replace(disc_clip, provenance={**disc_clip.provenance, "settings": {"motion": {"sign": [1, -1]}}})
+    with pytest.raises(ClipError, match="is not this job"):
+        upsample(other, tmp_path / "o", Job("hold"))
+
+
+def test_labels_are_made_for_images_that_are_there(tmp_path: Path) -> None:
+    clip, job = write_disc_clip(tmp_path / "clip", 2), Job("classifier", 1, "pass")
+    clip = replace(clip, records=tuple(replace(r, jitter=(0.25 * r.number, -0.25)) for r in clip.records))
+    upsample(clip, tmp_path / "o", job)
+    upsample(clip, tmp_path / "o", job, debug="labels")
+    assert [p.name for p in sorted((tmp_path / "o").glob("*.labels.png"))] == ["0001.labels.png", "0002.labels.png"]
+
+
+def test_more_frames_are_refused_by_a_method_that_makes_none(disc_clip: Clip, tmp_path: Path, told) -> None:
+    ask = ("upsample", disc_clip.path, "-o", tmp_path / "o", "--fps", "2", "--scale", "2", "--jitter", "zero")
+    says = told(*ask, "--method", "taau")
+    assert "taau makes no frames, and --fps 2 asks for 2 images" in says
+    assert main([*map(str, ask), "--method", says.split()[-1]]) == 0
+    assert len(list((tmp_path / "o").glob("*.exr"))) == 13
+
+
 def test_a_full_disk_leaves_whole_files_only(disc_clip: Clip, tmp_path: Path, told, monkeypatch) -> None:
     written = []
 
