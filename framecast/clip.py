@@ -45,6 +45,9 @@ MotionView = Literal["gap", "step"]
 ON_DISK = {**LAYERS, "motion2": ("motion2.X", "motion2.Y")}
 """Channel names in a frame file. `motion2`: exact motion to the frame before the previous one."""
 
+ABOUT = ("fps", "width", "height", "layers", "motion_span", "reference_scale", "provenance")
+"""What `clip.json` says besides its version and its frames."""
+
 HALF = frozenset({"color", "albedo", "normal", "roughness", "metallic"})
 """Buffers stored as half floats; depth and motion keep 32 bits, object ids are 32-bit integers."""
 
@@ -290,6 +293,7 @@ def _described(folder: Path) -> tuple[dict[str, Any], tuple[Record, ...]]:
                 f"{path} has version {about['version']}; this framecast reads version {VERSION}: import it again"
             )
         records = tuple(Record(**{k: _tuples(v) for k, v in f.items()}) for f in about["frames"])
+        about = {name: about[name] for name in ABOUT}
     except ClipError:
         raise
     except (OSError, json.JSONDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:

@@ -1,5 +1,6 @@
 """Any source into our own format: exact, whole or not at all, resumed after an interruption, and described."""
 
+import json
 import resource
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -61,6 +62,24 @@ def test_leftovers_of_another_source_are_not_taken(tmp_path: Path) -> None:
         save(open_shot(DATA / "v5"), tmp_path / "clip", progress=interrupted)
     other = open_shot(DATA / "v34")
     torch.testing.assert_close(save(other, tmp_path / "clip", full=True)[0].color, other[0].color)
+
+
+def test_leftovers_of_other_settings_are_not_taken(tmp_path: Path) -> None:
+    """A settings file may lie anywhere, so that the files of the shot do not tell that it changed."""
+
+    def interrupted(indices: Sequence[int]) -> Iterator[int]:
+        yield indices[0]
+        raise KeyboardInterrupt
+
+    def read(sign: list[int]) -> Clip:
+        vectors = {"files": "{frame}.exr", "channels": ["ViewLayer.Vector.X", "ViewLayer.Vector.Y"], "sign": sign}
+        (tmp_path / "told.json").write_text(json.dumps({"motion": vectors}))
+        return open_any(DATA / "step2", settings=tmp_path / "told.json")
+
+    with pytest.raises(KeyboardInterrupt):
+        save(read([1, 1]), tmp_path / "clip", progress=interrupted)
+    other = read([-1, -1])
+    torch.testing.assert_close(save(other, tmp_path / "clip")[0].motion, other[0].motion)
 
 
 def test_an_existing_output_is_refused_and_untouched(tmp_path: Path) -> None:

@@ -201,10 +201,11 @@ def _begin(part: Path, identity: str) -> None:
 
 
 def _identity(clip: Clip, repair: bool, full: bool) -> str:
-    """Changes when the source's files or the options do."""
+    """Changes when the source's files, what they are taken to mean, or the options do."""
     files = [path for depth in ("*.*", "*/*.*", "*/*/*.*") for path in clip.path.glob(depth)]
     stats = sorted((str(p), p.stat().st_size, p.stat().st_mtime_ns) for p in files if p.is_file())
-    about = [str(clip.path.resolve()), clip.fps, repair, full, stats, [asdict(record) for record in clip.records]]
+    records = [asdict(record) for record in clip.records]
+    about = [str(clip.path.resolve()), clip.fps, clip.span, clip.provenance, repair, full, stats, records]
     return sha256(json.dumps(about).encode()).hexdigest()
 
 
