@@ -215,6 +215,19 @@ def test_cameras_of_every_convention(tmp_path: Path, axes: Any, scale: float, ro
     assert clip.records[1].jitter == (-0.5, 0)  # the settings say that the picture is moved
 
 
+@pytest.mark.parametrize("near", [0.01, 1.0, 10.0])
+@pytest.mark.parametrize("parallel", [False, True])
+def test_a_shifted_lens_is_read_for_rows_and_for_columns_in_any_unit(near: float, parallel: bool) -> None:
+    x, y, far = 0.3, -0.2, 100 * near
+    deep = (1 / (near - far), near / (near - far)) if parallel else (far / (near - far), near * far / (near - far))
+    ends = [[0, 0, 0, 1]] if parallel else [[0, 0, -1, 0]]
+    shift = [[1.2, 0, 0, x], [0, 2.0, 0, y]] if parallel else [[1.2, 0, x, 0], [0, 2.0, y, 0]]
+    matrix = np.array([*shift, [0, 0, *deep], *ends])
+    for written in (matrix, matrix.T):
+        found = pose({"projection": written.tolist()}, "opengl", (H, W)).projection
+        np.testing.assert_allclose(np.array(found)[[0, 1, 3]], matrix[[0, 1, 3]], atol=1e-9)
+
+
 @pytest.mark.parametrize("axes", ["opengl", "unreal", "unity", "directx"])
 def test_cameras_that_are_written_are_read(axes: Any) -> None:
     rows = posed([record(1), replace(record(2), cut=True)], axes)["frames"]

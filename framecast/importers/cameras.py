@@ -142,12 +142,22 @@ def _affine(values: Any, name: str) -> np.ndarray:
     raise ClipError(f"{name} is no pose: neither its last row nor its last column is 0 0 0 1")
 
 
+def _on_columns(p: np.ndarray) -> np.ndarray:
+    """A projection that acts on columns, whichever way it was written.
+
+    What makes w of the distance is 1 or -1, in the last row or in the last column; opposite to it stands the near
+    plane, in any unit. With parallel rays it is the shift that stands in one of the two, if there is any.
+    """
+    if p[3, 3] == 1:
+        return p.T if np.abs(p[3, :2]).max() > np.abs(p[:2, 3]).max() else p
+    return p.T if abs(abs(p[2, 3]) - 1) < abs(abs(p[3, 2]) - 1) else p
+
+
 def _projection(row: Mapping[str, Any], size: tuple[int, int]) -> Matrix | None:
     """From a matrix of any convention, of which only lens and shift count, or from a field of view."""
     aspect = size[1] / size[0]
     if row.get("projection") is not None:
-        p = _matrix(row["projection"])
-        p = p if abs(p[3, 2]) > abs(p[2, 3]) or p[3, 3] == 1 else p.T
+        p = _on_columns(_matrix(row["projection"]))
         out = np.zeros((4, 4))
         if p[3, 3] == 1:
             out[:2], out[2, 2], out[3, 3] = p[:2], -1e-4, 1
