@@ -174,6 +174,13 @@ def test_a_still_shot_under_changing_light_may_have_no_motion(tmp_path: Path) ->
     assert open_shot(tmp_path)[1].motion.abs().max() == 0
 
 
+def test_still_pictures_one_after_the_other_may_have_no_motion(tmp_path: Path) -> None:
+    for number in range(1, 6):  # the camera is another one from frame 3 on
+        depth, name = (4.0, "wide") if number < 3 else (2.0, "close")
+        render(tmp_path, number, Depth={"Z": depth}, Vector=dict.fromkeys("XYZW", 0.0), Camera=name)
+    assert [r.cut for r in open_shot(tmp_path).records] == [False, False, True, False, False]
+
+
 def test_wrong_vectors_of_a_moving_orthographic_camera_are_refused() -> None:
     with pytest.raises(ClipError, match=r"orthographic.*perspective"):
         open_shot(DATA / "ortho")

@@ -25,9 +25,6 @@ from framecast.importers.blender_vectors import check_vectors
 FPS = 24.0
 """Blender's own default, taken where nothing tells the frame rate."""
 
-BACKGROUND = 1e9
-"""Depth from which on nothing was hit: Blender writes 1e10, and 1e11 outside a render border."""
-
 PASSES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "color": (("combined", "image", ""), ("RGB",)),
     "depth": (("depth", "z"), ("Z", "V", "X", "R")),
@@ -217,7 +214,8 @@ def _layers(passes: Mapping[str, np.ndarray]) -> Layers:
     """Blender's passes in our convention; NaN and infinite pixels stay what they are, except in the background.
 
     Combined: view transforms are not baked into EXRs; what a denoiser or filter left below 0 becomes 0.
-    Depth: along the view axis (panoramas: Euclidean); background, border and anything beyond SKY become SKY.
+    Depth: along the view axis (panoramas: Euclidean); background (1e10), what lies outside a render border (1e11) and
+    anything beyond SKY become SKY.
     Vector: pixels, y up. X Y point to the previous frame, Z W come from the next, hence (X, -Y) and (-Z, W). Without W
     there is no motion_next. Blender evaluates the scene before the first and after the last frame, so both are kept.
     Normal: world space, averaged over the pixel; made unit again, 0 in the background.

@@ -13,7 +13,8 @@ from framecast.frame import SKY
 def check_vectors(folder: Path, records: Sequence[Record], read: Callable[[Record], Layers], first: Layers) -> None:
     """Refuse vectors that are all 0 while things move, and those of Blender 5 under a moving orthographic camera.
 
-    Reads one frame, and only where it has nothing but zeros although something moved, the others.
+    Reads one frame, and only where it has nothing but zeros although something moved, the others. Both frames that are
+    compared lie before the first cut, across which everything changes and nothing moves.
 
     Args:
         read: pixels of a frame as Blender left them, in our convention. first: those of the first frame.
@@ -21,9 +22,10 @@ def check_vectors(folder: Path, records: Sequence[Record], read: Callable[[Recor
     Raises:
         ClipError: with what to change in Blender.
     """
-    if len(records) < 2:
+    before_cut = next((i for i, record in enumerate(records) if i and record.cut), len(records))
+    if before_cut < 2:
         return
-    pair = [first, read(records[len(records) // 2])]
+    pair = [first, read(records[before_cut // 2])]
     if all(_reversing(layers) for layers in pair):
         raise ClipError(
             f"{folder}: the vectors zoom, to the frame before and to the one after alike, as Blender 5 wrongly writes "
