@@ -134,7 +134,7 @@ def test_bad_folders_are_told_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(ClipError, match="version 99"):
         open_clip(clip.path)
     (clip.path / "clip.json").write_text(json.dumps({k: v for k, v in about.items() if k != "width"}))
-    with pytest.raises(ClipError, match="cannot be read .*'width'"):
+    with pytest.raises(ClipError, match=r"cannot be read .*'width'"):
         open_clip(clip.path)
     (clip.path / "clip.json").write_text("{")
     with pytest.raises(ClipError, match="cannot be read"):

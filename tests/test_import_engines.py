@@ -13,6 +13,7 @@ from dump import RGB, lay, moves_as_its_cameras, same
 from wall import FOV, FRAMES, H, W, place, record, wall, write_wall
 
 from framecast import exr
+from framecast.cli import main
 from framecast.clip import Layers
 from framecast.importers import images, open_any, unity, unreal
 from framecast.importers.cameras import rotator
@@ -104,6 +105,18 @@ def test_the_queue_with_a_camera_name_and_one_file_a_pass(tmp_path: Path) -> Non
     again = open_any(apart)
     same(again, ("color", "depth", "motion"), motion=2e-3)
     moves_as_its_cameras(again)
+
+
+def test_what_was_made_of_a_shot_and_lies_in_it_is_no_part_of_it(tmp_path: Path) -> None:
+    shot = lay_queue(tmp_path / "ue", queue(2.0, (-1.0, 1.0)))
+    for command in (["upsample", str(shot), "-o", str(shot / "made"), "--method", "hold"],) * 2:  # again: to go on
+        assert main(command) == 0
+    assert main(["import", str(shot), "-o", str(shot / "clip")]) == 0
+    assert Listing(shot).names == tuple(f"shot.{record(t).number:04d}.exr" for t in range(FRAMES))
+    (shot / "other").mkdir()
+    (shot / "other" / "job.json").write_text("{}")
+    (shot / "shot.0010.exr").rename(shot / "other" / "shot.0010.exr")
+    assert "other/shot.0010.exr" in Listing(shot).names
 
 
 def targets(packing: str) -> Settings:

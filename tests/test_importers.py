@@ -2,6 +2,7 @@
 
 import json
 import resource
+import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -32,8 +33,11 @@ def test_saved_is_what_was_read(tmp_path: Path) -> None:
     assert exr.read(half.path / "frames" / "0003.exr").channels["R"].dtype == np.float16
 
 
-def test_an_interrupted_import_goes_on_where_it_was(tmp_path: Path) -> None:
-    clip, out = open_shot(DATA / "v5"), tmp_path / "clip"
+@pytest.mark.parametrize("beside", [True, False])
+def test_an_interrupted_import_goes_on_where_it_was(tmp_path: Path, beside: bool) -> None:
+    shot = Path(shutil.copytree(DATA / "v5", tmp_path / "shot"))
+    files = {p.name for p in (tmp_path if beside else shot).iterdir()}
+    clip, out = open_shot(shot), (tmp_path if beside else shot) / "clip"
 
     def interrupted(indices: Sequence[int]) -> Iterator[int]:
         yield indices[0]
@@ -43,14 +47,14 @@ def test_an_interrupted_import_goes_on_where_it_was(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         save(clip, out, progress=interrupted)
     assert not out.exists()
-    (part,) = tmp_path.iterdir()
+    (part,) = (p for p in out.parent.iterdir() if p.name not in files)
     done = part / "frames" / "0003.exr"
     before = done.stat().st_mtime_ns
     (part / "frames" / "0004.exr").write_bytes(b"torn")
     saved = save(clip, out)
     assert (out / "frames" / "0003.exr").stat().st_mtime_ns == before
     torch.testing.assert_close(saved[1].depth, clip[1].depth)
-    assert [p.name for p in tmp_path.iterdir()] == ["clip"]
+    assert {p.name for p in out.parent.iterdir()} == {"clip", *files}
 
 
 def test_leftovers_of_another_source_are_not_taken(tmp_path: Path) -> None:

@@ -203,7 +203,8 @@ def _begin(part: Path, identity: str) -> None:
 def _identity(clip: Clip, repair: bool, full: bool) -> str:
     """Changes when the source's files, what they are taken to mean, or the options do."""
     files = [path for depth in ("*.*", "*/*.*", "*/*/*.*") for path in clip.path.glob(depth)]
-    stats = sorted((str(p), p.stat().st_size, p.stat().st_mtime_ns) for p in files if p.is_file())
+    files = [p for p in files if p.is_file() and not any(n.startswith(".") for n in p.relative_to(clip.path).parts)]
+    stats = sorted((str(p), p.stat().st_size, p.stat().st_mtime_ns) for p in files)  # without what is being written
     records = [asdict(record) for record in clip.records]
     about = [str(clip.path.resolve()), clip.fps, clip.span, clip.provenance, repair, full, stats, records]
     return sha256(json.dumps(about).encode()).hexdigest()

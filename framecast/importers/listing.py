@@ -1,5 +1,6 @@
 """Image files of a folder, by number."""
 
+import json
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,19 +22,25 @@ class Listing:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Image files in order, hidden ones left out; raises FileNotFoundError where there is no such folder."""
+        """Image files in order, without hidden ones and without clips and images that were made from them.
+
+        Raises:
+            FileNotFoundError: no such folder.
+        """
         if not self.folder.is_dir():
             what = "a file" if self.folder.is_file() else "not there"
             raise FileNotFoundError(f"{self.folder} is {what}; give the folder that holds the rendered files")
-        found = []
+        found, made = [], set[str]()
         for depth in ("*", "*/*", "*/*/*", "*/*/*/*"):
             for path in self.folder.glob(depth):
                 name = path.relative_to(self.folder).as_posix()
                 if path.suffix.lower() in images.EXTENSIONS and not any(p.startswith(".") for p in name.split("/")):
                     found.append(name)
+                elif path.name in ("clip.json", "job.json") and "/" in name and _is_ours(path):
+                    made.add(name.rpartition("/")[0] + "/")
                 if len(found) > MOST:
                     raise ClipError(f"{self.folder} holds more than {MOST} files; give the folder of one shot")
-        return tuple(sorted(found))
+        return tuple(sorted(name for name in found if not name.startswith(tuple(made))))
 
     def numbered(self, pattern: str) -> dict[int, str]:
         """Files that match a pattern, by frame number.
@@ -74,6 +81,15 @@ class Listing:
                 pattern = f"{match[1]}{{frame}}{match[3]}"
                 found.setdefault(f"{parent}/{pattern}" if parent else pattern, name)
         return found
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether this package wrote a file that says what lies beside it, `clip.json` or `job.json`."""
+    try:
+        about = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(about, dict) and (about.get("format") == "framecast clip" or {"job", "clip", "frames"} <= {*about})
 
 
 def expressed(pattern: str) -> str:
