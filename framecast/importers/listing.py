@@ -89,7 +89,8 @@ def _is_ours(path: Path) -> bool:
         about = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return False
-    return isinstance(about, dict) and (about.get("format") == "framecast clip" or {"job", "clip", "frames"} <= {*about})
+    keys = {"job", "clip", "frames"} if path.name == "job.json" else {"format", "version", "frames"}
+    return isinstance(about, dict) and keys <= about.keys()
 
 
 def expressed(pattern: str) -> str:
