@@ -12,6 +12,7 @@ from doctor_scene import SIZE, changed, frames, write
 
 from framecast import exr
 from framecast.cli import main
+from framecast.clip import Record, finish, write_frame
 from framecast.doctor import camera, motion, probe, search
 from framecast.doctor.depth import planarity
 from framecast.doctor.edges import Edges, edges_of
@@ -369,6 +370,26 @@ def test_padding_is_cut_off(take: Take) -> None:
     assert abs(crop[0] - SIZE[1]) <= 1
     assert abs(crop[1] - SIZE[0]) <= 1
     assert tell_padding(take) == ([], None)
+
+
+def test_a_plain_background_beside_a_thing_is_no_padding(take: Take) -> None:
+    cut = lambda i: np.pad(i[:, 8:-20, 9:-20], ((0, 0), (8, 20), (9, 20)), constant_values=-3)  # noqa: E731
+    assert tell_padding(replace(take, images=[cut(image) for image in take.images])) == ([], None)
+
+
+def test_vectors_that_are_alike_everywhere_were_written(tmp_path: Path) -> None:
+    """A camera with parallel rays goes sideways by three pixels a frame, past a wall and a card that slides."""
+    y, x = np.mgrid[0:72, 0:128] + 0.5
+    for t in range(6):
+        card = (np.abs(x - 40 - 2 * t) < 12) & (np.abs(y - 30) < 9)
+        wall, front = doctor_scene.noise((x + 3 * t) / 9, y / 9), doctor_scene.noise((x - 2 * t) / 5, y / 5)
+        layers = {
+            "color": np.tile(np.where(card, 2 * front, wall), (3, 1, 1)).astype(np.float32),
+            "motion": np.stack([np.where(card, -2.0, 3.0), 0 * x]).astype(np.float32),
+        }
+        write_frame(tmp_path / "pan", Record(t, float(t)), layers)
+    pan = load(open_source(finish(tmp_path / "pan", fps=24).path))
+    assert {f.code for f in tell_motion(pan, MOTION).findings if f.state != "unknown"} == {"motion"}
 
 
 def test_the_command_writes_settings_with_which_the_importer_reads_the_truth(tmp_path: Path, capsys) -> None:

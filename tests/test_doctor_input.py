@@ -12,6 +12,7 @@ from PIL import Image
 
 from framecast import exr
 from framecast.cli import main
+from framecast.clip import Record, finish, write_frame
 from framecast.doctor.source import open_source
 from framecast.doctor.take import load
 from framecast.exr import ClipError
@@ -65,6 +66,14 @@ def only_text(folder: Path) -> None:
     (folder / "notes.txt").write_text("nothing to see")
 
 
+def unshaded(folder: Path) -> None:
+    plane = np.ones((3, 24, 32), np.float32)
+    for number in (1, 2, 3):
+        layers = {"motion": plane[:2]} if number == 2 else {"motion": plane[:2], "color": plane}
+        write_frame(folder, Record(number, float(number)), layers)
+    finish(folder, fps=24)
+
+
 REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     "one frame": (lambda f: shot(f, range(1, 2)), "holds one frame"),
     "two sizes": (two_sizes, "two shots"),
@@ -72,6 +81,7 @@ REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     "two takes": (two_takes, "2 shots"),
     "torn": (torn, "truncated or damaged"),
     "no numbers": (no_numbers, "no numbered image file"),
+    "a clip with frames to generate": (unshaded, "has no colour in frame 2; "),
     "no images": (only_text, "holds no image file"),
 }
 

@@ -165,11 +165,13 @@ def scene_of(take: Take, name: str = "motion", *, written: bool = False) -> Scen
 
 
 def blank(stored: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels `h w` that hold exactly the most usual number of each channel, and those; none where they are rare."""
+    """Pixels `h w` that hold exactly the most usual number of each channel, and those; none where they are rare, or
+    where x and y differ, as in the vectors of a camera that moves along a wall, or sideways with parallel rays."""
     some = thinned(stored.shape[1])
     code = np.array([_usual(plane[some, some]) for plane in stored])
     same: np.ndarray = (stored == code[:, None, None]).all(0)
-    return (same if same.mean() >= EMPTY_SHARE else np.zeros_like(same)), code
+    one = len(code) != 2 or code[0] == code[1]
+    return (same if one and same.mean() >= EMPTY_SHARE else np.zeros_like(same)), code
 
 
 def _usual(plane: np.ndarray) -> float:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from framecast import exr
 from framecast.clip import ON_DISK, Record, open_clip
 from framecast.doctor.names import SPELLINGS, WORDS, Held, by_content, by_name, named
 from framecast.exr import ClipError
@@ -126,9 +127,11 @@ def _of_clip(listing: Listing) -> Source:
             told[name] = KINDS[name](files=("frames/{frame}.exr",), channels=ON_DISK[name])
     if "motion_next" in told:
         told["motion_next"] = replace(told["motion_next"], direction="current->next")
-    if "color" not in told:
+    files = {record.number: listing.folder / "frames" / f"{record.number:04d}.exr" for record in clip.records}
+    if unshaded := [number for number, path in files.items() if "R" not in exr.header(path).names]:
         raise ClipError(
-            f"{listing.folder} has no frame with colour; the doctor compares pictures, give a clip that has some"
+            f"{listing.folder} has no colour in frame {ranges(unshaded)}; the doctor compares neighbours, give a clip "
+            f"that is shaded in every frame"
         )
     return _source(
         listing, "clip", Settings(source="generic", fps=clip.fps, span=clip.span, **told), clip.records,

@@ -8,6 +8,9 @@ import numpy as np
 from framecast.doctor.follow import Step
 from framecast.doctor.take import Take
 
+PLAIN = 0.02
+"""Share of the picture from which on a colour is that of a background."""
+
 
 def cuts(steps: Sequence[Step]) -> list[int]:
     """Frames that show something else than the frames before, although nothing says so."""
@@ -69,7 +72,8 @@ def exposure_of(take: Take, steps: Sequence[Step]) -> Exposure:
 
 
 def padding(take: Take) -> tuple[int, int]:
-    """Columns at the right and rows at the bottom that hold one and the same colour in all frames looked at."""
+    """Columns at the right and rows at the bottom that hold one and the same colour in all frames looked at, a colour
+    that is rare elsewhere: a thing before a plain background has some of it on every side."""
     columns, rows = [], []
     for image in take.images[:: max(1, len(take.images) // 4)]:
         flat = np.asarray(image, np.float32)
@@ -77,6 +81,10 @@ def padding(take: Take) -> tuple[int, int]:
         rows.append(_flat_end(flat.transpose(0, 2, 1)))
     right, below = min(columns), min(rows)
     height, width = take.size
+    first = take.images[0]
+    elsewhere = np.abs(first - first[:, -1:, -1:]).max(0)[: height - below - 1, : width - right - 1] < 1e-3
+    if elsewhere.mean() > PLAIN:
+        return 0, 0
     # The image was smoothed, so that the line beside the padding is mixed with it.
     return (right + 1 if 0 < right < width // 4 else 0), (below + 1 if 0 < below < height // 4 else 0)
 
