@@ -159,3 +159,12 @@ def test_what_does_not_fit_is_refused(name: str, words: str) -> None:
         method_named(name)
     with pytest.raises(ValueError, match="nsrr cannot make 3 times the size"):
         method_named("extranet+nsrr", 3.0)
+
+
+@pytest.mark.parametrize("name", ["taau+mobfgsr", "bilinear+bsr", "bilinear+warp"])
+def test_after_one_frame_motion_is_not_known_and_the_image_stands_still(name: str) -> None:
+    method = method_named(name)
+    images, state = run(method, shaded(1))
+    still = shot(1.0, speed=0.0, span=1.0)
+    image, _ = method(unshaded(still) if method.needs_generated else moment(1.0), state)
+    torch.testing.assert_close(image, images[0], atol=1e-3, rtol=0)

@@ -103,3 +103,8 @@ def test_a_wire_stays_visible_in_motion(monkeypatch: pytest.MonkeyPatch, thickne
     assert alone < 0.02
     assert together > 0.5 * least(right)
     assert together > 2 * without
+
+
+def test_vectors_grow_as_the_image_does_at_sizes_that_do_not_divide() -> None:
+    motion = fsr2.enlarged(shot(1, 1.5, size=(9, 37), speed=4.0), 1.5).motion
+    torch.testing.assert_close(motion[:, 0], torch.full_like(motion[:, 0], -4 * 56 / 37))

@@ -295,3 +295,16 @@ def test_what_was_hidden_shows_nothing_of_what_hid_it(name: str) -> None:
     image = played(method, frames)[3]
     uncovered = image[..., 3:-3, round(10 * scale) : round(12 * scale)]
     torch.testing.assert_close(uncovered, torch.full_like(uncovered, 0.1), atol=0.02, rtol=0)
+
+
+@pytest.mark.parametrize("name", TEMPORAL)
+def test_vectors_that_reach_part_of_the_way_lead_to_the_last_frame(name: str) -> None:
+    """A renderer that skips every second frame writes vectors to the ones that it skipped."""
+    method: Any = METHODS[name]()
+    frames = [shot(t, method.config.scale, speed=0.75, motion_next=None) for t in range(4)]
+    apart = [replace(frame, time=2 * frame.time) for frame in frames]
+    step = [replace(frame, motion=frame.motion / 2) for frame in apart]  # type: ignore[operator]
+    whole = [replace(frame, span=2 * frame.span) for frame in apart]
+    images = (played(method, each)[-1] for each in (frames, whole, step))
+    for image in (first := next(images), *images):
+        torch.testing.assert_close(image, first, atol=1e-4, rtol=0)

@@ -1,8 +1,11 @@
 """What TAAU does beyond the contract: steady where one frame's neighbourhood is not, quick where light changes."""
 
+from dataclasses import replace
+
 import torch
 from test_super_resolution import gradient, played, shot, state_after, truth
 
+from framecast.methods.larger import Config
 from framecast.methods.taau import TAAU
 from framecast.resample import phases
 
@@ -45,3 +48,13 @@ def test_what_stands_still_is_the_mean_of_its_samples_and_what_moves_forgets() -
     assert still.weight[inner].mean() > 3 * moving.weight[inner].mean()
     assert moving.still[inner].max() == 0
     assert still.still[inner].min() >= 10
+
+
+def test_history_is_read_where_it_was_at_sizes_that_do_not_divide() -> None:
+    """37 pixels become 56, and vectors grow by that: 1.5 times as long they are 0.05 pixels off."""
+    frames, method = [shot(t, 1.5, size=(9, 37), speed=4.0) for t in (0, 1)], TAAU(Config(1.5))
+    state = state_after(method, frames[:1])
+    columns = torch.arange(56.0).expand_as(state.color).contiguous()
+    state = replace(state, color=columns, square=torch.full_like(state.square, 1e6))  # whose box holds everything
+    moved = (method.look(frames[1], state).history.color - columns)[..., 9:-2]
+    torch.testing.assert_close(moved, torch.full_like(moved, -4 * 56 / 37), atol=1e-3, rtol=0)

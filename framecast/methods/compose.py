@@ -24,7 +24,7 @@ from torch import Tensor, nn
 
 from framecast.frame import BUFFERS, Frame
 from framecast.methods.larger import Config, Unjittered
-from framecast.methods.reproject import steps
+from framecast.methods.reproject import reaching
 from framecast.resample import enlarged_motion, nearest_sample, size_at
 from framecast.warp import pick
 
@@ -129,14 +129,6 @@ def generating(method: Method) -> tuple[str, ...]:
 def scale_of(method: Method) -> float:
     """Output size divided by input size."""
     return float(getattr(getattr(method, "config", None), "scale", 1.0))
-
-
-def reaching(frame: Frame, time: Float[Tensor, " b"]) -> Frame:
-    """The frame with motion to the moment that the second method last saw; as it is where it resets."""
-    if frame.motion is None:
-        return frame
-    motion = torch.where(frame.reset[:, None, None, None], frame.motion, steps(frame, time, frame.jitter))
-    return replace(frame, motion=motion, motion_next=None, span=frame.time - time)
 
 
 def enlarged(frame: Frame, image: Float[Tensor, "b 3 H W"] | None, scale: float) -> Frame:

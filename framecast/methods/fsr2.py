@@ -36,9 +36,11 @@ from framecast.frame import Frame
 from framecast.methods.filters import bounded_lanczos
 from framecast.methods.larger import TWICE, Config, output_size, require, torn, warn_of_stillness, where
 from framecast.methods.mobfgsr import present
+from framecast.methods.reproject import reaching
 from framecast.resample import (
     Box,
     enlarge,
+    enlarged_motion,
     foreground,
     from_ycocg,
     lanczos,
@@ -79,6 +81,7 @@ class History:
     """Brightness of the last four frames, newest first."""
     still: Float[Tensor, "b 1 H W"]
     """Frames since the pixel moved or changed."""
+    time: Float[Tensor, " b"]
     jitter: Float[Tensor, "b 2"]
 
 
@@ -107,7 +110,7 @@ class FSR2(nn.Module):
         color = present(frame.color)
         three, four, *ones = (color.new_zeros(len(color), channels, *size) for channels in (3, 4, 1, 1, 1, 1))
         weight, life, coarse, still = ones
-        return History(three, weight, life, coarse, four, still, torch.ones_like(frame.jitter))
+        return History(three, weight, life, coarse, four, still, frame.time, torch.ones_like(frame.jitter))
 
     def forward(self, frame: Frame, state: History) -> tuple[Float[Tensor, "b 3 H W"], History]:
         """The image of a shaded frame at display size, linear and at least 0, and what is known then.
@@ -117,10 +120,10 @@ class FSR2(nn.Module):
         """
         require(frame, "fsr2", self.needs)
         warn_of_stillness(state.jitter, frame.jitter, "fsr2")
-        return self.accumulate(frame, state)
+        return self.accumulate(reaching(frame, state.time), state)
 
     def accumulate(self, frame: Frame, state: History) -> tuple[Float[Tensor, "b 3 H W"], History]:
-        """The arithmetic of `forward`."""
+        """The arithmetic of `forward`, for a frame with motion to the last one."""
         return accumulate(frame, state, self.config.scale)
 
 
@@ -207,7 +210,7 @@ def enlarged(frame: Frame, scale: float) -> Now:
     box = neighbourhood(mapped)
     narrow = enlarge(luma, size, frame.jitter, lambda x: lanczos(x * scale).clamp(min=0), 3)
     lost = pick(torch.maximum(hidden_before(depth, motion), beside.to(depth.dtype)), nearest)
-    large = pick(motion, nearest) * scale
+    large = enlarged_motion(motion, size, frame.jitter)
     gone = ~inside(large) | frame.reset[:, None, None, None]
     image = bounded_lanczos(mapped, size, frame.jitter)
     return Now(
@@ -271,6 +274,7 @@ def accumulate(frame: Frame, state: History, scale: float) -> tuple[Float[Tensor
         coarse=torch.where(life > 0, coarse + 0.5 * (now.coarse - coarse), now.coarse),
         lumas=torch.cat((now.luma, torch.where(fresh, now.luma, lumas)[:, :3]), 1),
         still=still,
+        time=frame.time,
         jitter=frame.jitter,
     )
 

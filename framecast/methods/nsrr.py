@@ -37,7 +37,7 @@ from framecast.frame import Frame
 from framecast.losses import difference
 from framecast.methods import larger
 from framecast.methods.larger import WHITE, decoded, encoded, nearness, require, settled, warn_of_stillness
-from framecast.methods.reproject import chosen, steps
+from framecast.methods.reproject import chosen, reaching, steps
 from framecast.methods.taau import TAAU, History
 from framecast.nets import padded
 from framecast.recipe import Recipe
@@ -207,6 +207,7 @@ class NSRR(nn.Module):
         require(frame, "nsrr", self.needs)
         newest = state.past[0]
         warn_of_stillness(torch.where(newest.known[:, None], newest.jitter, 1.0), frame.jitter, "nsrr")
+        frame = reaching(frame, newest.time)
         now, past = self.look(frame), self.moved(frame, state)
         base, history = self.accumulate(frame, state.history)
         image, added = self.predict(now, past, base), None

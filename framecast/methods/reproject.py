@@ -6,7 +6,7 @@ same sample's place on the other frame's grid of samples, so that the jitter of 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 import torch.nn.functional as F
@@ -111,6 +111,16 @@ def steps(frame: Frame, time: Float[Tensor, " b"], jitter: Float[Tensor, "b 2"])
     exact = ((frame.time - time) - frame.span).abs() < 1e-4
     motion = torch.where(exact[:, None, None, None], frame.motion, path)
     return motion + (frame.jitter - jitter)[:, :, None, None]
+
+
+def reaching(frame: Frame, time: Float[Tensor, " b"]) -> Frame:
+    """The frame with motion to the moment of the frame that was seen last, whatever its own vectors reach, jitter left
+    out; as it is where it resets, and where none was seen before it."""
+    if frame.motion is None:
+        return frame
+    kept = frame.reset | (frame.time == time)
+    motion = chosen(kept, frame.motion, steps(frame, time, frame.jitter))
+    return replace(frame, motion=motion, motion_next=None, span=chosen(kept, frame.span, frame.time - time))
 
 
 def valid(now: Geometry, past: Geometry, motion: Float[Tensor, "b 2 h w"]) -> Bool[Tensor, "b 1 h w"]:

@@ -34,9 +34,11 @@ from framecast.frame import Frame
 from framecast.methods.filters import bounded_lanczos
 from framecast.methods.larger import SAME, TWICE, Config, output_size, require, unseen, warn_of_stillness, where
 from framecast.methods.mobfgsr import present
+from framecast.methods.reproject import reaching
 from framecast.resample import (
     Box,
     enlarge,
+    enlarged_motion,
     foreground,
     from_ycocg,
     gaussian,
@@ -82,6 +84,7 @@ class History:
     square: Float[Tensor, "b 3 h w"]
     age: Float[Tensor, "b 1 h w"]
     """Frames that `mean` and `square` are made of."""
+    time: Float[Tensor, " b"]
     jitter: Float[Tensor, "b 2"]
 
 
@@ -135,6 +138,7 @@ class TAAU(nn.Module):
             mean=torch.zeros_like(color),
             square=torch.zeros_like(color),
             age=torch.zeros_like(depth),
+            time=frame.time,
             jitter=torch.ones_like(frame.jitter),
         )
 
@@ -147,10 +151,10 @@ class TAAU(nn.Module):
         name = type(self).__name__.lower()
         require(frame, name, self.needs)
         warn_of_stillness(state.jitter, frame.jitter, name)
-        return self.accumulate(frame, state)
+        return self.accumulate(reaching(frame, state.time), state)
 
     def accumulate(self, frame: Frame, state: History) -> tuple[Float[Tensor, "b 3 H W"], History]:
-        """The arithmetic of `forward`."""
+        """The arithmetic of `forward`, for a frame with motion to the last one."""
         return mix(self.look(frame, state))
 
     def look(self, frame: Frame, state: History, trust: Float[Tensor, "b 1 h w"] | None = None) -> Sample:
@@ -207,7 +211,7 @@ def reprojected(frame: Frame, state: History, color: Tensor, nearest: Tensor, sc
     between = (frame.jitter - state.jitter)[:, :, None, None]
     hidden = unseen(frame, motion, state.depth, state.motion, state.jitter) | frame.reset[:, None, None, None]
     moved = foreground(depth, motion)[1]
-    large = pick(moved, nearest) * scale
+    large = enlarged_motion(moved, (state.color.shape[-2], state.color.shape[-1]), frame.jitter)
     lost = pick(hidden.float(), nearest) + (~inside(large)).float() > 0
     weight, still = warp(torch.cat((state.weight, state.still), 1), large).split(1, 1)
     fraction = large - large.floor()
@@ -230,6 +234,7 @@ def reprojected(frame: Frame, state: History, color: Tensor, nearest: Tensor, sc
         mean=mean,
         square=square,
         age=age,
+        time=frame.time,
         jitter=frame.jitter,
     )
 
