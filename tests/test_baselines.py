@@ -161,6 +161,14 @@ def test_the_pose_lies_between_and_beyond_the_two() -> None:
         assert torch.equal(projection, LENS)
 
 
+def test_the_pose_is_exact_where_networks_are_rounded() -> None:
+    """The 3D warp before a network runs under its autocast, whose products have eight bits."""
+    frames = [replace(moment(t), view=looking(700.0 + t, 0, 0.1 * t), projection=LENS) for t in (0, 2)]
+    with torch.autocast("cpu", torch.bfloat16):
+        view, _ = warp3d.camera(Pair(*frames), torch.full((1, 1, 1, 1), 0.5))
+    torch.testing.assert_close(view, looking(701.0, 0, 0.1), atol=1e-3, rtol=0)
+
+
 @pytest.mark.parametrize("stretch", [1.0, 1.3, 1.5])
 def test_points_cover_stretched_surfaces_without_cracks(stretch: float) -> None:
     x = torch.arange(24.0) - 12

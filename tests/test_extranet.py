@@ -491,9 +491,10 @@ def test_values_lie_where_their_samples_do_and_zeros_between() -> None:
 
 
 def test_enlarging_knows_where_the_samples_were() -> None:
-    """A ramp sampled off the centres is the same ramp when enlarged."""
+    """A ramp sampled off the centres is the same ramp when enlarged, also where networks are rounded."""
     columns = (torch.arange(8) + 0.5)[None].expand(8, 8)
-    for shift in (-0.4, 0.0, 0.3):
-        larger = enlarged((columns + shift)[None, None], torch.tensor([[shift, 0.0]]), 2)
+    for shift, rounded in ((-0.4, False), (0.0, False), (0.3, False), (0.3, True)):
+        with torch.autocast("cpu", torch.bfloat16, enabled=rounded):
+            larger = enlarged((columns + shift)[None, None], torch.tensor([[shift, 0.0]]), 2)
         expected = (torch.arange(16) + 0.5) / 2
         torch.testing.assert_close(larger[0, 0, 5, 2:-2], expected[2:-2], atol=1e-5, rtol=0)

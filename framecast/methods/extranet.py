@@ -303,14 +303,16 @@ def scattered(x: Float[Tensor, "b c h w"], jitter: Float[Tensor, "b 2"], scale: 
 
 
 def enlarged(x: Float[Tensor, "b c h w"], jitter: Float[Tensor, "b 2"], scale: int) -> Float[Tensor, "b c H W"]:
-    """The image `scale` times as large, bilinear between its samples."""
+    """The image `scale` times as large, bilinear between its samples; also under autocast, which would round places to
+    eight bits."""
     if scale == 1:
         return x
     batch, channels, height, width = x.shape
     shift = -2 * jitter / torch.tensor([width, height], device=x.device)
     across = torch.eye(2, device=x.device).expand(batch, 2, 2)
     size = [batch, channels, height * scale, width * scale]
-    grid = F.affine_grid(torch.cat((across, shift[:, :, None]), 2), size, align_corners=False)
+    with torch.autocast(x.device.type, enabled=False):
+        grid = F.affine_grid(torch.cat((across, shift[:, :, None]), 2), size, align_corners=False)
     return F.grid_sample(x, grid, padding_mode="border", align_corners=False)
 
 

@@ -105,19 +105,21 @@ class Warp3D(nn.Module):
 def camera(state: Pair, at: Float[Tensor, "b 1 1 1"]) -> tuple[Float[Tensor, "b 4 4"], Float[Tensor, "b 4 4"]]:
     """View and projection at a moment between (0..1) or beyond (> 1) the two frames.
 
-    The camera's position and the projection move linearly, the rotation about one axis at constant speed (slerp).
+    The camera's position and the projection move linearly, the rotation about one axis at constant speed (slerp). In
+    full precision, also where a network that follows is rounded: eight bits of a position are metres.
     """
     prev, current = state.prev, state.current
     assert prev.view is not None
     assert prev.projection is not None
     assert current.view is not None
     assert current.projection is not None
-    s = at[:, :, :, 0]
-    first, last = prev.view[:, :3, :3], current.view[:, :3, :3]
-    centres = [-(v[:, :3, :3].mT @ v[:, :3, 3:]) for v in (prev.view, current.view)]
-    rotation = turned(last @ first.mT, s) @ first
-    centre = centres[0] + (centres[1] - centres[0]) * s
-    view = torch.cat((torch.cat((rotation, -(rotation @ centre)), 2), current.view[:, 3:]), 1)
+    with torch.autocast(at.device.type, enabled=False):
+        s = at[:, :, :, 0]
+        first, last = prev.view[:, :3, :3], current.view[:, :3, :3]
+        centres = [-(v[:, :3, :3].mT @ v[:, :3, 3:]) for v in (prev.view, current.view)]
+        rotation = turned(last @ first.mT, s) @ first
+        centre = centres[0] + (centres[1] - centres[0]) * s
+        view = torch.cat((torch.cat((rotation, -(rotation @ centre)), 2), current.view[:, 3:]), 1)
     return view, prev.projection + (current.projection - prev.projection) * s
 
 
