@@ -67,6 +67,10 @@ def test_without_a_usable_earlier_vector_motion_is_straight() -> None:
     assert (moved[:, 0] == 3).all()
     reset = replace(prev, depth=current.depth, reset=torch.tensor([True]))
     assert (path(current, reset).displacement(torch.tensor([1.0]))[:, 0] == 3).all()
+    twice = moving(torch.tensor(3.0), -6.0, time=1)  # it slows down; or is as fast, over twice the time
+    assert (path(current, twice).displacement(torch.tensor([1.0]))[:, 0, :, 3:] == 0).all()
+    even = replace(twice, span=torch.tensor([2.0]))
+    assert (path(current, even).displacement(torch.tensor([1.0]))[:, 0] == 3).all()
 
 
 @pytest.mark.parametrize("time", [2.5, 3.5])

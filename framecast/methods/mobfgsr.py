@@ -210,14 +210,15 @@ def path(frame: Frame, previous: Frame) -> Trajectory:
 
     With motion m1 of this frame and m0 of the previous one read where m1 leads, both over one gap s: velocity
     (m0 - 3 m1) / 2s, acceleration (m0 - m1) / s^2 with the signs of `Frame.motion`. Straight where m0 does not belong
-    to the same surface, and where the vectors do not lead to the previous frame.
+    to the same surface, where the vectors do not lead to the previous frame, and where m0 reaches over another time.
     """
     depth, motion = present(frame.depth), present(frame.motion)
     if frame.motion_next is not None:
         return trajectory(motion, frame.motion_next, frame.span)
     same = (fetch(present(previous.depth), motion) / depth - 1).abs() < 0.1
     reaches = (frame.time - previous.time - frame.span).abs() < 1e-3 * frame.span
-    usable = same & inside(motion) & _wide(reaches & ~previous.reset)
+    even = (frame.span - previous.span).abs() < 1e-3 * frame.span
+    usable = same & inside(motion) & _wide(reaches & even & ~previous.reset)
     change = torch.where(usable, fetch(present(previous.motion), motion) - motion, 0.0)
     s = _wide(frame.span)
     return Trajectory(change / (2 * s) - motion / s, change / (s * s))
