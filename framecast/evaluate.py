@@ -23,6 +23,7 @@ from framecast.clip import Clip, ClipError
 from framecast.color import to_display, tonemap, untonemap
 from framecast.fit import Method, method_named, require, require_mode, scale_of
 from framecast.frame import Frame, moment, unshaded
+from framecast.methods.reproject import steps
 from framecast.metrics import METRICS, lpips_missing, measure
 from framecast.regions import hidden, regions
 from framecast.results import ROLES, Mode, Role, Row
@@ -272,11 +273,12 @@ def change(
         return None
     if before.index != now.index - 1 or clip.is_cut(now.index):
         return None
-    height, width = frame.motion.shape[-2:]
+    last, (height, width) = footage.frame(before.index), frame.motion.shape[-2:]
     size = (now.image.shape[-2], now.image.shape[-1])
     factor = torch.tensor([size[1] / width, size[0] / height]).view(1, 2, 1, 1)
-    motion = (F.interpolate(frame.motion, size, mode="bilinear") * factor).to(now.image.device)
-    lost = hidden(frame, [footage.frame(before.index)]).float()
+    motion = steps(frame, last.time, frame.jitter)  # the frame's own vectors may reach over less time
+    motion = (F.interpolate(motion, size, mode="bilinear") * factor).to(now.image.device)
+    lost = hidden(frame, [last]).float()
     seen = ~F.interpolate(lost, size).bool().to(motion.device) & inside(motion)
     image, target = (new - warp(old, motion) for new, old in ((now.shown, before.shown), (now.target, before.target)))
     return image, target, seen

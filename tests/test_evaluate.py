@@ -195,6 +195,25 @@ def test_shaded_frames_are_compared_with_references_of_their_size(tmp_path: Path
     assert value(rows, "psnr") == pytest.approx(plain, abs=1e-6)  # generated ones still with what was hidden
 
 
+def test_change_over_time_is_along_the_whole_way_from_the_image_before(disc_clip: Clip, probe: Callable) -> None:
+    """Of a shot that holds every second frame, whether its vectors lead to those or to the frames left out."""
+    probe(lambda frame, state: state.color)
+    kept = tuple(replace(record, cut=False) for record in disc_clip.records[::2])
+    found = []
+    for span in (1.0, 2.0):
+
+        def load(record: Record, span: float = span) -> dict:
+            motion = disc_frame(record.time, step=span).motion[0].numpy()
+            layers = {k: v for k, v in disc_clip.load(record).items() if k in ("color", "depth", "motion_next")}
+            ahead = disc_frame(record.time, step=span).motion_next[0].numpy()
+            return {**layers, "motion": motion, "motion_next": ahead}
+
+        clip = replace(disc_clip, records=kept, load=load, span=span)
+        rows = evaluate([clip], ["probe"], "interpolate", Settings(metrics=("warped",)))
+        found.append(value(rows, "warped", "shaded"))
+    assert found[0] == pytest.approx(found[1], rel=1e-4)
+
+
 def test_time_is_the_median_after_the_first_two_of_a_role(disc_clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
     def timed(*arguments: object, **named: object) -> Iterator[Output]:
         milliseconds = {True: iter((900, 800, 30)), False: iter((500, 400, 1, 2))}
