@@ -26,7 +26,7 @@ class BatchNorm(nn.BatchNorm2d):
         sums = _summed(sums)
         total = sums[-1]
         mean, square = (sums[:-1] / total).chunk(2)
-        variance = square - mean.square()
+        variance = (square - mean.square()).clamp(min=0)  # of a constant far from 0 rounding leaves less
         self._remember(mean.detach(), (variance * total / (total - 1)).detach())
         scale = self.weight * (variance + self.eps).rsqrt()
         shift = self.bias - mean * scale

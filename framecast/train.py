@@ -407,7 +407,7 @@ def command(
     """Train a method on clips at full rate; the same command again goes on where it was.
 
     Args:
-        method: extranet, or one of its variants.
+        method: what to train, such as extranet, nsrr, or one of their variants; any other name lists them all.
         clips: clips, as a pattern in quotes, such as 'clips/train/*'.
         out: folder of the run.
         steps: how many steps, instead of the recipe's.

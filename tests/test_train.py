@@ -15,13 +15,14 @@ from conftest import write_disc_clip
 from passing import shot, write_shots
 from torch import Tensor
 
-from framecast import checkpoint, train
+from framecast import checkpoint, nets, train
 from framecast.clip import ClipError
 from framecast.data import Footage, footage
 from framecast.fit import method_named
 from framecast.frame import Frame
 from framecast.methods import extranet
 from framecast.methods.extranet import Config, ExtraNet
+from framecast.nets import BatchNorm
 from framecast.recipe import Recipe
 from framecast.train import Settings, command, rate
 
@@ -316,3 +317,13 @@ def test_shots_are_consistent() -> None:
     assert now.object is not None
     assert before.object is not None
     assert torch.equal(torch.roll(before.object, 2, 3), now.object)
+
+
+def test_shared_normalisation_of_a_constant_is_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whose variance, the difference of two large sums, rounding would make negative."""
+    monkeypatch.setattr(nets.dist, "is_initialized", lambda: True)
+    monkeypatch.setattr(nets.dist, "get_world_size", lambda: 2)
+    monkeypatch.setattr(nets, "_summed", lambda values: values)
+    for constant in (37.3, 123.4, 777.7):
+        image = BatchNorm(2).train()(torch.full((4, 2, 31, 33), constant))
+        torch.testing.assert_close(image, torch.zeros_like(image), atol=0.5, rtol=0)
