@@ -15,7 +15,7 @@ from framecast.cli import main
 from framecast.clip import ClipError, check
 from framecast.frame import SKY, camera_motion, world_position
 from framecast.importers import open_any, repairs, save
-from framecast.importers.blender import open_shot, ranges
+from framecast.importers.blender import absent, open_shot, ranges
 from framecast.importers.blender_camera import read_shot
 
 DATA = Path(__file__).parent / "data" / "blender"
@@ -468,3 +468,7 @@ def test_ranges() -> None:
     assert ranges([1, 2, 4, 6, 7]) == "1-2, 4, 6-7"
     assert ranges([1, 3, 5, 7]) == "1-7 step 2"
     assert ranges([4]) == "4"
+    assert absent([4]) == absent([1, 3, 5]) == ""
+    assert absent([1, 2, 4]) == "frame 3 is"
+    assert absent([1, 3, 7, 13, 23]) == "frames 5, 9, 11, 15-21 step 2 are"
+    assert absent([1, 2, 999_999_999]) == "frames 3-999999998 are"  # a date among the frames takes no memory

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from framecast.clip import ON_DISK, Record, open_clip
 from framecast.doctor.names import SPELLINGS, WORDS, Held, by_content, by_name, named
 from framecast.exr import ClipError
 from framecast.importers import SOURCES, images
-from framecast.importers.blender import open_shot, ranges
+from framecast.importers.blender import absent, open_shot, ranges
 from framecast.importers.decode import decode_jitter
 from framecast.importers.folder import Found, Listing, open_folder
 from framecast.importers.passes import Pass, passes, plain
@@ -315,10 +314,8 @@ def _known(records: Sequence[Record], claim: Settings) -> frozenset[str]:
 def _holes(files: Mapping[str, Mapping[int, Any]], numbers: Sequence[int]) -> list[str]:
     """Missing frames, a sentence each."""
     said = []
-    step = min((b - a for a, b in pairwise(numbers)), default=1)
-    if missing := sorted(set(range(numbers[0], numbers[-1], step)) - set(numbers)):
-        which = f"frame {ranges(missing)} is" if len(missing) == 1 else f"frames {ranges(missing)} are"
-        said.append(f"{which} missing in the middle (found {ranges(numbers)}); export what is missing")
+    if away := absent(numbers):
+        said.append(f"{away} missing in the middle (found {ranges(numbers)}); export what is missing")
     for name, found in files.items():
         if name != "color" and (lack := sorted(set(numbers) - set(found))):
             said.append(f"{name} lacks frame {ranges(lack)}, which colour has; export it again")

@@ -128,24 +128,33 @@ def _numbered(folder: Path) -> dict[int, Path]:
 
 
 def _refuse_gaps(folder: Path, numbers: Sequence[int]) -> None:
-    step = min((b - a for a, b in pairwise(numbers)), default=1)
-    missing = sorted(set(range(numbers[0], numbers[-1], step)) - set(numbers))
-    if missing:
-        which = f"frame {ranges(missing)} is" if len(missing) == 1 else f"frames {ranges(missing)} are"
+    if lack := absent(numbers):
         raise ClipError(
-            f"{folder}: {which} missing in the middle (found {ranges(numbers)}); render again what is missing"
+            f"{folder}: {lack} missing in the middle (found {ranges(numbers)}); render again what is missing"
         )
 
 
 def ranges(numbers: Iterable[int]) -> str:
     """Frame numbers in short: 1-4, 6-9; with one constant step 1-9 step 2."""
     values = sorted(numbers)
+    held = set(values)
     steps = {b - a for a, b in pairwise(values)}
     if len(values) > 2 and len(steps) == 1 and steps != {1}:
         return f"{values[0]}-{values[-1]} step {steps.pop()}"
-    starts = [v for v in values if v - 1 not in values]
-    ends = [v for v in values if v + 1 not in values]
+    starts = [v for v in values if v - 1 not in held]
+    ends = [v for v in values if v + 1 not in held]
     return ", ".join(f"{a}-{b}" if a < b else f"{a}" for a, b in zip(starts, ends, strict=True))
+
+
+def absent(numbers: Sequence[int]) -> str:
+    """What lacks between frame numbers in order, at their smallest step: "frame 5 is", "frames 5, 8-9 are", or nothing."""
+    step = min((b - a for a, b in pairwise(numbers)), default=1)
+    holes = [range(a + step, b, step) for a, b in pairwise(numbers) if b - a > step]
+    long = "" if step == 1 else f" step {step}"  # a stray number may leave a hole of millions
+    said = ", ".join(f"{hole[0]}-{hole[-1]}{long}" if len(hole) > 2 else ranges(hole) for hole in holes)
+    if [len(hole) for hole in holes] == [1]:
+        return f"frame {said} is"
+    return f"frames {said} are" if holes else ""
 
 
 def _one_size(folder: Path, headers: Mapping[int, Header]) -> tuple[int, int]:

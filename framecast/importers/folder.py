@@ -6,7 +6,6 @@ makes of a folder that it recognises.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from framecast.clip import Clip, Layers, Record, repaired
 from framecast.exr import ClipError
 from framecast.importers import images
-from framecast.importers.blender import FPS, ranges
+from framecast.importers.blender import FPS, absent, ranges
 from framecast.importers.cameras import Pose, pose, read_poses
 from framecast.importers.decode import decode, decode_jitter, jitter_pixels, picture_size
 from framecast.importers.listing import Listing
@@ -157,10 +156,8 @@ def _numbers(folder: Path, told: Mapping[str, Layer], files: Mapping[str, Mappin
         name: set(found) for name, found in files.items()
     }
     frames = set[int]().union(*solid.values())
-    step = min((b - a for a, b in pairwise(sorted(frames))), default=1)
-    if missing := sorted(set(range(min(frames), max(frames), step)) - frames):
-        which = f"frame {ranges(missing)} is" if len(missing) == 1 else f"frames {ranges(missing)} are"
-        raise ClipError(f"{folder}: {which} missing in the middle (found {ranges(frames)}); export what is missing")
+    if away := absent(sorted(frames)):
+        raise ClipError(f"{folder}: {away} missing in the middle (found {ranges(frames)}); export what is missing")
     for name, found in files.items():
         lack = frames - set(found)
         if isinstance(told[name], Motion):
