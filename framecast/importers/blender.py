@@ -147,7 +147,7 @@ def ranges(numbers: Iterable[int]) -> str:
 
 
 def absent(numbers: Sequence[int]) -> str:
-    """What lacks between frame numbers in order, at their smallest step: "frame 5 is", "frames 5, 8-9 are", or nothing."""
+    """What lacks between ordered numbers at their smallest step: "frame 5 is", "frames 5, 8-9 are", or nothing."""
     step = min((b - a for a, b in pairwise(numbers)), default=1)
     holes = [range(a + step, b, step) for a, b in pairwise(numbers) if b - a > step]
     long = "" if step == 1 else f" step {step}"  # a stray number may leave a hole of millions
