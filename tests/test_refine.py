@@ -117,6 +117,9 @@ def test_light_is_not_taken_from_another_surface_nor_where_it_hardly_differs() -
 def test_reads_along_the_flow_are_those_of_warp() -> None:
     image, way = torch.rand(2, 5, H, W), 4 * torch.rand(2, 2, H, W) - 2
     torch.testing.assert_close(shifted(image, way), warp(image, way), atol=1e-5, rtol=0)
+    wide = torch.rand(1, 2, 3, 320).bfloat16()  # whose bits are too few for 320 places
+    image = shifted(wide, torch.zeros(1, 2, 3, 320)).float()
+    torch.testing.assert_close(image, wide.float(), atol=1e-3, rtol=0)
 
 
 def test_the_network_has_four_sizes_and_knows_how_long_ago() -> None:

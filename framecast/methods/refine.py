@@ -178,12 +178,12 @@ class FRNet(nn.Module):
 
 
 def shifted(image: Float[Tensor, "b c h w"], flow: Float[Tensor, "b 2 h w"]) -> Float[Tensor, "b c h w"]:
-    """`warp.warp`, made for gradients through many channels."""
+    """`warp.warp`, made for gradients through many channels; places are never rounded to the bits of the image."""
     height, width = image.shape[-2:]
     x = (torch.arange(width, device=flow.device) + 0.5 + flow[:, 0]) * (2 / width) - 1
     y = (torch.arange(height, device=flow.device)[:, None] + 0.5 + flow[:, 1]) * (2 / height) - 1
-    grid = torch.stack((x, y), -1).to(image.dtype)
-    return F.grid_sample(image, grid, padding_mode="border", align_corners=False)
+    grid = torch.stack((x, y), -1)
+    return F.grid_sample(image.float(), grid, padding_mode="border", align_corners=False)
 
 
 def matched(
