@@ -187,9 +187,9 @@ class Clip:
                 out[name] = layers["motion2"]
             elif span * step > gap * 1.001:
                 raise ClipError(f"{self.path}: vectors reach {span:g} frames but frames are closer than that")
-            elif span * step < gap * 0.999:
+            elif span * step < gap * 0.999 or not all(0 <= i < len(self.records) for i in path):
                 out[name] = _stretched(layers, span, sign * gap)
-            elif all(0 <= i < len(self.records) for i in path):
+            else:
                 fields = [layers, *(self.checked(self.records[i]) for i in path)]
                 depths = [_tensor(f["depth"]) for f in fields] if "depth" in layers else None
                 out[name] = chain([_tensor(f[name]) for f in fields], depths)[0].numpy()
@@ -197,10 +197,11 @@ class Clip:
 
 
 def _stretched(layers: Layers, span: float, dt: float) -> np.ndarray:
-    """Vectors over `dt` from vectors over `span`, on the quadratic (or straight) path that they define."""
+    """Vectors over `dt` from vectors over `span`, on the quadratic path that they define; straight with one of both."""
     forward = _tensor(layers["motion_next"]) if "motion_next" in layers else None
+    back = layers["motion"] if "motion" in layers else -layers["motion_next"]
     return (
-        trajectory(_tensor(layers["motion"]), forward, torch.tensor([float(span)]))
+        trajectory(_tensor(back), forward, torch.tensor([float(span)]))
         .displacement(torch.tensor([float(dt)]))[0]
         .numpy()
     )

@@ -1,6 +1,7 @@
 """Clips on disk: written and read without loss, half-rate views, and every way in which a folder can be wrong."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,16 @@ def test_half_rate_motion_is_chained_through_the_hidden_frame(disc_clip: Clip) -
     torch.testing.assert_close(half[2].motion, truth.motion)
     ahead = disc_frame(2, step=2)
     torch.testing.assert_close(half[1].motion_next, ahead.motion_next)
+
+
+def test_vectors_beyond_the_end_of_a_clip_are_continued(disc_clip: Clip) -> None:
+    """No frame is there to chain them through, and all vectors of a view reach over its gap."""
+    last = disc_clip.every(2)[3]
+    assert float(last.span) == 2
+    torch.testing.assert_close(last.motion_next, disc_frame(6, step=2).motion_next)
+    ahead = replace(disc_clip, load=lambda record: {"motion_next": disc_clip.load(record)["motion_next"]})
+    straight = 2 * disc_clip[6].motion_next  # type: ignore[operator]
+    torch.testing.assert_close(ahead.every(2)[3].motion_next, straight)
 
 
 def test_motion2_is_used_where_recorded(tmp_path: Path) -> None:
