@@ -232,6 +232,8 @@ def test_a_shot_that_begins_unshaded_is_shown_under_mean_light() -> None:
     with pytest.warns(UserWarning, match="time 1, which was not shaded"):
         found = run(fresh(), [bright, other])[1]
     assert float((found - found.mean()).abs().max()) > 0.1
+    guess = fresh().gather(replace(frames[1], reset=torch.tensor([True])), fresh().start(bright))
+    assert float(guess.known.max()) == 0  # and counts as what was filled in
 
 
 def test_too_many_unshaded_frames_are_warned_of_once() -> None:

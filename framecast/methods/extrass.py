@@ -293,9 +293,10 @@ class ExtraSS(nn.Module):
     def extrapolate(
         self, frame: Frame, shaded: Seen, reach: Float[Tensor, "b 2 h w"]
     ) -> tuple[Float[Tensor, "b 3 h w"], Float[Tensor, "b 1 h w"]]:
-        """The last shaded frame on this frame's surfaces, linear, and 1 where they were found in it."""
+        """The last shaded frame on this frame's surfaces, linear; 1 where they were found, nowhere after a cut."""
         effective = reach + (frame.jitter - shaded.jitter)[:, :, None, None]
         image, known = extrapolated(frame, shaded, motion=effective)
+        known = known & ~frame.reset[:, None, None, None]
         return modulate(decode_log(image), surface(frame)), known.float()
 
     def predict(self, gathered: Gathered, generated: bool) -> Predicted:
