@@ -196,7 +196,7 @@ def command(
     if csv:
         write_csv(csv, rows)
     console = Console()
-    for title, table in tables(rows).items():
+    for title, table in tables(rows, console.width).items():
         console.print(f"\n{title}", table, highlight=False)
     made = f"{', '.join(names)} on {', '.join(labels(opened))}, {mode}"
     files = " and ".join(str(path) for path in (json, csv) if path)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from rich import box
+from rich.console import Console
 from rich.table import Table
 
 from framecast import exr
@@ -126,12 +127,13 @@ def columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
     return sorted(found, key=lambda key: (key[1] == TIME, key[0] != "all"))
 
 
-def tables(rows: Sequence[Row]) -> dict[str, Table]:
+def tables(rows: Sequence[Row], width: int | None = None) -> dict[str, Table]:
     """Tables by title, one for each mode, role and clip, and for the mean of several clips.
 
-    A line for each method, the best in bold. Shaded frames have a table only where a method changed them.
+    A line for each method, or where that is wider than `width` characters for each metric; the best in bold. Shaded
+    frames have a table only where a method changed them.
     """
-    return {title: _table(group) for title, group in groups(rows).items()}
+    return {title: _table(group, width) for title, group in groups(rows).items()}
 
 
 def groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
@@ -160,15 +162,24 @@ def _untouched(rows: Sequence[Row]) -> bool:
     )
 
 
-def _table(rows: Sequence[Row]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("method", overflow="fold")
-    cells = []
+def _table(rows: Sequence[Row], width: int | None) -> Table:
+    methods = list(dict.fromkeys(row.method for row in rows))
+    lines = [["method", *methods]]
     for region, metric in columns(rows):
-        table.add_column(heading(region, metric), justify="right", overflow="fold")
         values = {row.method: row.value for row in rows if (row.region, row.metric) == (region, metric)}
-        cells.append(shown(values, metric))
-    for method in dict.fromkeys(row.method for row in rows):
-        texts = [cell.get(method, ("", False)) for cell in cells]
-        table.add_row(method, *(f"[bold]{text}[/bold]" if best else text for text, best in texts))
+        cells = shown(values, metric)
+        texts = [cells.get(method, ("", False)) for method in methods]
+        lines.append([heading(region, metric), *(f"[bold]{text}[/bold]" if best else text for text, best in texts)])
+    table = _laid_out(list(zip(*lines, strict=True)))
+    too_wide = width is not None and Console(width=10_000).measure(table).maximum > width
+    return _laid_out([[text.replace("\n", " ") for text in line] for line in lines]) if too_wide else table
+
+
+def _laid_out(lines: Sequence[Sequence[str]]) -> Table:
+    """The first line are headings, and the first of each line says what it is."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for k, text in enumerate(lines[0]):
+        table.add_column(text, justify="right" if k else "left", overflow="fold")
+    for line in lines[1:]:
+        table.add_row(*line)
     return table

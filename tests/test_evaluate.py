@@ -336,6 +336,16 @@ def test_tables_show_each_clip_and_the_mean_with_the_best_in_bold() -> None:
     assert "a: shaded frames, interpolate" not in tables(alike)  # that of the clip, whatever the method
 
 
+def test_a_table_that_is_too_wide_has_a_column_for_each_method() -> None:
+    """And the same cells."""
+    wide, narrow = tables(ROWS, 200)["a: generated frames, interpolate"], tables(ROWS, 25)
+    turned = narrow["a: generated frames, interpolate"]
+    assert [column.header for column in turned.columns] == ["method", "hold", "blend"]
+    assert list(turned.columns[0].cells) == [column.header for column in wide.columns[1:]]
+    for k in (0, 1):
+        assert list(turned.columns[k + 1].cells) == [list(column.cells)[k] for column in wide.columns[1:]]
+
+
 def test_command_prints_tables_and_writes_the_rows(
     disc_clip: Clip, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
