@@ -338,7 +338,7 @@ def test_tables_show_each_clip_and_the_mean_with_the_best_in_bold() -> None:
 
 def test_a_table_that_is_too_wide_has_a_column_for_each_method() -> None:
     """And the same cells."""
-    wide, narrow = tables(ROWS, 200)["a: generated frames, interpolate"], tables(ROWS, 25)
+    wide, narrow = tables(ROWS, 200)["a: generated frames, interpolate"], tables(ROWS, 15)
     turned = narrow["a: generated frames, interpolate"]
     assert [column.header for column in turned.columns] == ["method", "hold", "blend"]
     assert list(turned.columns[0].cells) == [column.header for column in wide.columns[1:]]
