@@ -151,7 +151,7 @@ def test_the_scale_is_that_of_the_method_that_makes_frames_larger() -> None:
         ("extranet+hold", "both methods make frames .* one of them has to"),
         ("hold+nothing", "there is no method 'nothing'"),
         ("+bilinear", "there is no method ''"),
-        ("extranet+extranet-plus", "extranet-plus has no weights of its own"),
+        ("extranet+nsrr-five-frames", "nsrr-five-frames has no weights of its own"),
     ],
 )
 def test_what_does_not_fit_is_refused(name: str, words: str) -> None:

@@ -46,6 +46,7 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
     "mobfgsr": MobFGSR,
     "mobfgsr-quadratic": lambda: MobFGSR(MobFGSRConfig(motion="quadratic")),
     "extranet": lambda: shipped("extranet", ExtraNet(extranet.BETTER)),
+    "extranet-plus": lambda: shipped("extranet-plus", ExtraNet(extranet.Config(scale=2))),
     "extrass-warp": GuidedWarp,
     "extrass-refined": lambda: RefinedWarp(refine.MATCHED),
     "extrass": lambda: shipped("extrass", ExtraSS()),
