@@ -159,6 +159,8 @@ def test_what_does_not_fit_is_refused(name: str, words: str) -> None:
         method_named(name)
     with pytest.raises(ValueError, match="nsrr cannot make 3 times the size"):
         method_named("extranet+nsrr", 3.0)
+    with pytest.raises(ValueError, match=r"extranet-plus cannot make 1 times the size \(it can make 2\)"):
+        method_named("extranet-plus", 1.0)
 
 
 @pytest.mark.parametrize("name", ["taau+mobfgsr", "bilinear+bsr", "bilinear+warp"])

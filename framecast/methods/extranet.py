@@ -195,7 +195,7 @@ class ExtraNet(nn.Module):
         self.config = config
         self.network = Network(config)
         if config.scale > 1:
-            self.needs = (*self.needs, "roughness")
+            self.needs, self.scales = (*self.needs, "roughness"), (float(config.scale),)
 
     def start(self, frame: Frame) -> History:
         """The state before the first frame, which is `frame`."""
