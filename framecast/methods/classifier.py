@@ -29,6 +29,7 @@ Differs: Half of the features of a scale go on to the next; at the coarsest all 
          of both choices, each class weighted by 1 / sqrt(its share), between what finds rare classes (1 / share) and
          what is most often right (1). The classes also learn from the image.
          Off the screen and after a cut history fails whatever the network says.
+         Not for three times the size: what is learnt at twice does not come to rest there on a still picture.
 Needs:   color, depth, motion
 Modes:   pass
 State:   what was accumulated, its worth, depth, counter, range of colours, classes and rest, at display size
@@ -175,7 +176,7 @@ class Classifier(nn.Module):
     needs: tuple[str, ...] = ("color", "depth", "motion")
     needs_generated: tuple[str, ...] = ()
     modes: tuple[str, ...] = ("pass",)
-    scales: tuple[float, ...] = (1.5, 2.0, 3.0)
+    scales: tuple[float, ...] = (1.5, 2.0)
     parts: tuple[str, ...] = ("look", "classified", "mixing", "mixed")
     history: int | None = None
     step_motion: bool = False

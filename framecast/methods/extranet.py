@@ -195,7 +195,9 @@ class ExtraNet(nn.Module):
         self.config = config
         self.network = Network(config)
         if config.scale > 1:
-            self.needs, self.scales = (*self.needs, "roughness"), (float(config.scale),)
+            self.scales = (float(config.scale),)
+            self.needs_generated = ("roughness", "metallic", *GEOMETRY)  # colour is not taken off the surfaces
+            self.needs = ("color", *self.needs_generated)
 
     def start(self, frame: Frame) -> History:
         """The state before the first frame, which is `frame`."""
