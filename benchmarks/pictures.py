@@ -64,9 +64,9 @@ def main(
         scale: of the images.
     """
     names = columns.split(",")
-    rows = []
+    hidden, rows = generated(names), []
     for clip in map(open_clip, clips):
-        shown = {name: column(clip, name, frame, scale, generated(names)) for name in names}
+        shown = {name: column(clip, name, frame, scale, hidden) for name in names}
         best, other, truth = (shown[name] for name in (names[-2], than, names[-1]))
         part = where((other - truth).square() - (best - truth).square(), size)
         print(clip.path.name, part)

@@ -4,8 +4,8 @@
 #
 #     examples/train_larger.sh classifier|extrass|fasset|nsrr|mnss [folder] [steps]
 #
-# Interrupted and started again it goes on where it was; the clips serve every one of these methods. With 2 steps and
-# SMALL=1 it runs in minutes on a CPU; set DEVICE=cuda where there is a GPU.
+# Interrupted and started again it goes on where it was; the clips serve every one of these methods. SMALL=1 and 2 steps
+# try it out, on smaller and fewer clips; set DEVICE=cuda where there is a GPU.
 set -e
 method=${1:?which network: classifier, extrass, fasset, nsrr or mnss}
 out=${2:-runs/larger}

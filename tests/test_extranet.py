@@ -465,9 +465,7 @@ def test_every_configuration_runs_at_odd_sizes(config: Config) -> None:
     method = ExtraNet(config).eval()
 
     def cut(frame: Frame) -> Frame:
-        size = {
-            f: getattr(frame, f)[..., :13, :21] for f in ExtraNet.needs_generated if f not in ("view", "projection")
-        }
+        size = {f: getattr(frame, f)[..., :13, :21] for f in {*ExtraNet.needs_generated} - {"view", "projection"}}
         return replace(frame, **size, color=None if frame.color is None else frame.color[..., :13, :21])
 
     with torch.no_grad():
