@@ -12,7 +12,7 @@ import time as clock
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -110,20 +110,33 @@ def stream(
 ) -> Iterator[Output]:
     """Images in display order from groups of frames in arrival order (`schedule`, or an engine's own).
 
-    The method's state starts at the first frame and again wherever `reset` is set. Compilation happens once per size
-    and per role (shaded, interpolated, extrapolated), on their first frames.
+    The method's state starts at the first frame and again wherever `reset` is set; where that is a frame that was not
+    shaded, at every further one until the next shaded frame, which is the first that tells of the new shot.
+    Compilation happens once per size and per role (shaded, interpolated, extrapolated), on their first frames.
 
     Args:
         watch: gets the state after every frame, before its group's images come out.
+
+    Raises:
+        ValueError: the first frame was not shaded.
     """
     method = placed(method, device)
     call = compiled(method) if compile else method
     start: Callable[[Frame], Any] = call.start  # type: ignore[assignment]
     state: Any = None
+    unlit: Tensor | None = None  # of each image of the batch whether its shot has not shown a shaded frame yet
     for group in groups:
         outputs = []
         for frame in group:
+            if state is None and not frame.is_shaded:
+                raise ValueError(
+                    f"the first frame, at time {float(frame.time[0]):g}, was not shaded, and there is no image before "
+                    f"it to go by; begin with a shaded frame"
+                )
             frame = frame.to(device)
+            reset = frame.reset if unlit is None else frame.reset | unlit
+            frame = replace(frame, reset=reset)
+            unlit = None if frame.is_shaded else reset
             started = clock.perf_counter()
             with inference(method, device):
                 image, state = call(frame, start(frame) if state is None else state)

@@ -178,10 +178,8 @@ class Plan:
 
     @property
     def shaded(self) -> int:
-        """Frames that the renderer shaded; passed on, a clip may hold others, so they are looked at."""
-        if self.job.mode != "pass":
-            return len(self.clip)
-        return sum("color" in self.clip.load(record) for record in self.clip.shown)
+        """Frames that the renderer shaded."""
+        return sum(self.is_shaded(index) for index in range(len(self.clip)))
 
     @property
     def fps(self) -> float:
@@ -199,7 +197,12 @@ class Plan:
         shaded = index // self.rate
         if history is not None and self.job.mode != "pass":  # passed on, not every frame of the clip is shaded
             return max(shaded - history + 1, 0)
-        return next((i for i in range(shaded, -1, -1) if self.clip.is_cut(i)), 0)
+        cuts = (i for i in range(shaded, -1, -1) if self.clip.is_cut(i))
+        return next((i for i in cuts if self.is_shaded(i)), 0)
+
+    def is_shaded(self, index: int) -> bool:
+        """Whether the renderer shaded a frame of the clip; those that are passed on may be others."""
+        return self.job.mode != "pass" or "color" in self.clip.load(self.clip.shown[index])
 
 
 def _first_missing(plan: Plan, folder: Path, debug: Debug | None) -> int:

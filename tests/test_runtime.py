@@ -1,16 +1,18 @@
 """The streaming loop: arrival order in, display order out, nothing lost, nothing kept."""
 
 import gc
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import pytest
 import torch
 from conftest import disc_frame
+from passing import shot
 from torch import nn
 
 from framecast import runtime
-from framecast.frame import Frame, moment
+from framecast.frame import Frame, moment, unshaded
 from framecast.methods import METHODS
 from framecast.runtime import MODES, compiled, latency, schedule, stream
 
@@ -143,6 +145,30 @@ def test_streaming_equals_calling_the_method() -> None:
     expected, _ = method(moment(0.5), state)
     out = list(stream(method, schedule(iter([a, b]), 2, "interpolate")))
     assert torch.equal(out[1].image, expected)
+
+
+def test_a_run_begins_with_a_shaded_frame_or_says_so() -> None:
+    with pytest.raises(ValueError, match=r"first frame, at time 0, was not shaded.* begin with a shaded frame"):
+        list(stream(METHODS["warp"](), [[unshaded(shot(0.0))], [shot(1.0)]]))
+
+
+@pytest.mark.parametrize("name", ["warp", "extrass-warp"])
+def test_a_shot_that_begins_with_two_unshaded_frames_is_a_new_shot_in_both_and_in_the_shaded_one(name: str) -> None:
+    """None of them shows, or later remembers, what lay where its vectors lead in the shot before."""
+    cut = torch.tensor([True])
+    wild = torch.full_like(shot(1.0).motion, 7.0)  # type: ignore[arg-type]
+    first, two = replace(unshaded(shot(1.0)), reset=cut, motion=wild), replace(unshaded(shot(2.0)), motion=wild)
+    lit, last = replace(shot(3.0), motion=wild), unshaded(shot(4.0, span=1.0))
+    seen: list[tuple[bool, bool]] = []
+    method = METHODS[name]()
+    call = method.forward
+    method.forward = lambda frame, state: (seen.append((frame.is_shaded, bool(frame.reset))), call(frame, state))[1]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        images = [output.image for output in stream(method, [[shot(0.0)], [first], [two], [lit], [last]])]
+    assert seen == [(True, True), (False, True), (False, True), (True, True), (False, False)]
+    fresh = [output.image for output in stream(METHODS[name](), [[replace(lit, reset=cut)], [last]])]
+    torch.testing.assert_close(images[3:], fresh)
 
 
 def test_without_a_compiler_it_stays_eager_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
