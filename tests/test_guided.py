@@ -47,7 +47,7 @@ def test_candidates_are_those_of_the_paper_each_once() -> None:
 
 def test_noise_that_stands_still_is_returned_as_it_is() -> None:
     """The candidates of the paper without its four copies of the middle one blur here."""
-    image, surfaces = noise(3), noise(7)
+    image, surfaces = noise(3), noise(8)
     found, known = guided_warp(seen(image, surfaces), surfaces, moving(0))
     torch.testing.assert_close(found, image, atol=1e-4, rtol=0)
     assert bool(known.all())
@@ -55,7 +55,7 @@ def test_noise_that_stands_still_is_returned_as_it_is() -> None:
 
 @pytest.mark.parametrize("shift", [(3.0, -2.0), (0.4, 0.0), (-1.3, 2.7)])
 def test_like_surfaces_move_as_bilinear_reads_do_parts_of_pixels_too(shift: tuple[float, float]) -> None:
-    image, plain = noise(3), torch.full((1, 7, H, W), 0.5)
+    image, plain = noise(3), torch.full((1, 8, H, W), 0.5)
     motion = moving(*shift)
     found, known = guided_warp(seen(image, plain), plain, motion)
     middle = (..., slice(4, -4), slice(4, -4))
@@ -81,7 +81,7 @@ def test_uncovered_background_is_read_from_background() -> None:
 
 
 def test_the_search_is_its_brute_force_twin_everywhere_and_where_it_is_asked() -> None:
-    image, there, here = noise(3), 2 * noise(7), 2 * noise(7)
+    image, there, here = noise(3), 2 * noise(8), 2 * noise(8)
     motion = 6 * noise(2) - 3
     everywhere = _searched_everywhere(image, there, here, motion, 4.0)
     kept = noise(1) > 0.3
@@ -112,7 +112,7 @@ def test_ties_do_not_shift_the_image() -> None:
     """Where nothing is alike a point becomes a symmetric spot, and the pixels are holes."""
     image = torch.zeros(1, 3, H, W)
     image[..., 12, 20] = 1
-    there, here = torch.zeros(1, 7, H, W), torch.full((1, 7, H, W), 50.0)
+    there, here = torch.zeros(1, 8, H, W), torch.full((1, 8, H, W), 50.0)
     found, known = guided_warp(seen(image, there), here, moving(0))
     assert not bool(known.any())
     spot = found[..., 2:23, 10:31]
@@ -122,7 +122,7 @@ def test_ties_do_not_shift_the_image() -> None:
 
 
 def test_what_leads_off_the_screen_finds_nothing_beyond_nine_pixels() -> None:
-    image, surfaces = noise(3), torch.full((1, 7, H, W), 0.5)
+    image, surfaces = noise(3), torch.full((1, 8, H, W), 0.5)
     found, known = guided_warp(seen(image, surfaces), surfaces, moving(-15.0))
     assert bool(known[..., 15:].all())
     torch.testing.assert_close(found[..., 15:], image[..., :-15])
@@ -151,13 +151,35 @@ def test_the_sky_is_a_surface_of_its_own() -> None:
     depth[..., :6, :] = SKY
     split = guides(replace(frame, depth=depth))
     assert float(split[:, :6, :6].abs().max()) == 0
-    assert float(split[:, 6:, :6].min()) == 1
+    assert float(split[:, 6:7, :6].min()) == 1
     image, wall = noise(3), guides(frame)
     _, known = guided_warp(seen(image, split), wall, moving(0))
     assert bool(known[..., 6:, :].all())
     heaven = guides(replace(frame, depth=torch.full_like(depth, SKY)))
     _, known = guided_warp(seen(image, heaven), wall, moving(0))
     assert not bool(known.any())
+
+
+def test_no_object_takes_the_light_of_another_though_they_look_alike() -> None:
+    """Beside a thing that moved off a wall like it the wall's own light is found, not the thing's; frames of which one
+    has no objects are compared without them."""
+    past, now = shot(4.0, speed=0), shot(5.0, speed=0, span=1.0)
+    assert past.color is not None
+    assert past.object is not None
+    there, here = torch.zeros_like(past.object), torch.zeros_like(past.object)
+    there[..., 8:16], here[..., 20:28] = 7, 7
+    bright = torch.where(there > 0, 4 * past.color, past.color)
+    before, after = replace(past, color=bright, object=there), unshaded(replace(now, object=here))
+    plain, told = guides(after), GuidedWarp().start(before)
+    still = moving(0)
+    image, known = guided_warp(told, plain, still)
+    wall, shown = (here == 0)[0, 0] & known[0, 0], (there == 0)[0, 0]
+    assert bool((wall & ~shown).any())  # uncovered, and found beside it
+    assert float(image[..., wall].max()) <= float(told.light[..., shown].max()) + 1e-4
+    for first, second in ((before, replace(after, object=None)), (replace(before, object=None), after)):
+        image, known = guided_warp(GuidedWarp().start(first), guides(second), still)
+        torch.testing.assert_close(image, told.light)
+        assert bool(known.all())
 
 
 def test_light_is_warped_and_the_new_surface_shaded_with_it() -> None:
@@ -180,7 +202,7 @@ def test_jitter_of_both_frames_is_part_of_the_motion() -> None:
 
 
 def test_widths_decide_what_is_alike() -> None:
-    image, there = noise(3), torch.zeros(1, 7, H, W)
+    image, there = noise(3), torch.zeros(1, 8, H, W)
     here = there.clone()
     here[:, 0] = 0.12
     _, known = guided_warp(seen(image, there), here, moving(0), Config(albedo=0.5))

@@ -93,7 +93,7 @@ def test_the_right_flow_moves_the_shadow_and_leaves_the_tiles() -> None:
     assert now.color is not None
     state = GuidedWarp().start(past)
     light = GuidedWarp().start(now).light
-    found = blended(state.light, flow(-4.0), guides(now))
+    found = blended(state.light, flow(-4.0), guides(now)[:, :7])
     inner = (..., slice(6, -6))
     before = (state.light - light)[inner].abs().mean()
     assert float((found - light)[inner].abs().mean()) < 0.1 * float(before)

@@ -10,6 +10,7 @@ Differs: Where the plain bilinear read meets a like surface it is kept: with the
          of the middle candidate do it; here every candidate stands once.
          Distance is measured from where the vector exactly leads, so that among like surfaces the nearest win, and ties
          do not shift the image. Candidates beyond the screen do not count.
+         Where frames have objects, no surface is like one of another object.
          Where no candidate is alike the pixel is a hole, and filled from like surfaces around it in this frame
          (`reproject.filled`; worth 0.3 dB on training scenes).
          Jitter of both frames is part of the motion. The sky counts as a surface of its own.
@@ -72,8 +73,8 @@ class Seen:
 
     light: Float[Tensor, "b 3 h w"]
     """Colour without texture, encoded by `encode_log`."""
-    guides: Float[Tensor, "b 7 h w"]
-    """Base colour, normal, and 1 at the sky: see `guides`."""
+    guides: Float[Tensor, "b 8 h w"]
+    """Base colour, normal, 1 at the sky, object: see `guides`."""
     jitter: Float[Tensor, "b 2"]
     time: Float[Tensor, " b"]
 
@@ -81,17 +82,18 @@ class Seen:
 torch.export.register_dataclass(Seen)
 
 
-def guides(frame: Frame) -> Float[Tensor, "b 7 h w"]:
-    """Base colour (linear), unit normal, and 1 at the sky, where the others are 0."""
+def guides(frame: Frame) -> Float[Tensor, "b 8 h w"]:
+    """Base colour (linear), unit normal, and 1 at the sky, where the others are 0; the object, NaN without objects."""
     assert frame.albedo is not None
     assert frame.normal is not None
     assert frame.depth is not None
     sky = (frame.depth >= SKY).float()
-    return torch.cat((frame.albedo * (1 - sky), frame.normal * (1 - sky), sky), 1)
+    objects = torch.full_like(sky, torch.nan) if frame.object is None else frame.object.float()
+    return torch.cat((frame.albedo * (1 - sky), frame.normal * (1 - sky), sky, objects), 1)
 
 
 def guided_warp(
-    past: Seen, now: Float[Tensor, "b 7 h w"], motion: Float[Tensor, "b 2 h w"], config: Config = Config()
+    past: Seen, now: Float[Tensor, "b 8 h w"], motion: Float[Tensor, "b 2 h w"], config: Config = Config()
 ) -> tuple[Float[Tensor, "b 3 h w"], Bool[Tensor, "b 1 h w"]]:
     """The light of an earlier frame on the surfaces of this one, and where it was found on a like surface (Eq. 1 to 3).
 
@@ -103,13 +105,22 @@ def guided_warp(
 
     A shift of whole pixels over like surfaces returns the shifted image exactly; any other bilinear one.
     """
-    widths = now.new_tensor([config.albedo] * 3 + [config.normal] * 4).view(1, 7, 1, 1)
-    here, there = now / widths, past.guides / widths
-    straight, read = warp(torch.cat((past.light, there), 1), motion).split((3, 7), 1)
+    widths = now.new_tensor([config.albedo] * 3 + [config.normal] * 5).view(1, 8, 1, 1)
+    here, there = (each / widths for each in comparable(now, past.guides))
+    straight, read = warp(torch.cat((past.light, there), 1), motion).split((3, 8), 1)
     kept = (squared(read - here) <= config.alike**2) & inside(motion)
     arguments = past.light, there, here, motion, config.screen
     found = search_elsewhere(kept, *arguments) if motion.device.type == "cpu" else _searched_everywhere(*arguments)
     return torch.where(kept, straight, found[:, :3]), kept | (found[:, 3:] > LIKE)
+
+
+def comparable(
+    a: Float[Tensor, "b 8 h w"], b: Float[Tensor, "b 8 h w"]
+) -> tuple[Float[Tensor, "b 8 h w"], Float[Tensor, "b 8 h w"]]:
+    """Two frames' `guides`, with object 0 everywhere where one of the two has no objects."""
+    unknown = (a[:, 7:] + b[:, 7:]).isnan().any()
+    first, second = (torch.cat((each[:, :7], torch.where(unknown, 0.0, each[:, 7:])), 1) for each in (a, b))
+    return first, second
 
 
 @library.custom_op("framecast::search_elsewhere", mutates_args=())
@@ -129,8 +140,8 @@ def _(kept: Tensor, image: Tensor, there: Tensor, here: Tensor, motion: Tensor, 
 def _searched_at(
     pixels: Int[Tensor, " n"],
     image: Float[Tensor, "b 3 h w"],
-    there: Float[Tensor, "b 7 h w"],
-    here: Float[Tensor, "b 7 h w"],
+    there: Float[Tensor, "b 8 h w"],
+    here: Float[Tensor, "b 8 h w"],
     motion: Float[Tensor, "b 2 h w"],
     screen: float,
 ) -> Float[Tensor, "b 4 h w"]:
@@ -162,8 +173,8 @@ def _searched_at(
 
 def _searched_everywhere(
     image: Float[Tensor, "b 3 h w"],
-    there: Float[Tensor, "b 7 h w"],
-    here: Float[Tensor, "b 7 h w"],
+    there: Float[Tensor, "b 8 h w"],
+    here: Float[Tensor, "b 8 h w"],
     motion: Float[Tensor, "b 2 h w"],
     screen: float,
 ) -> Float[Tensor, "b 4 h w"]:

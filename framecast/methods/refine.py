@@ -298,7 +298,7 @@ class RefinedWarp(nn.Module):
         flow, _, _ = self.flow(frame, state, recent, past, known)
         height, width = recent.shape[-2:]
         large = 2 * F.interpolate(flow, scale_factor=2.0, mode="bilinear")[..., :height, :width]
-        return blended(recent, large * state.known[:, None, None, None], guides(frame))
+        return blended(recent, large * state.known[:, None, None, None], guides(frame)[:, :7])
 
     def flow(
         self,
@@ -346,7 +346,7 @@ def blended(
 
     Args:
         light: encoded by `encode_log`.
-        surfaces: see `guided.guides`; the sky, whose normal is 0, is like nothing.
+        surfaces: base colour, normal and sky of `guided.guides`; the sky, whose normal is 0, is like nothing.
     """
     moved, there = warp(torch.cat((light, surfaces), 1), flow).split((3, 7), 1)
     likeness = 1 - (there[:, :3] - surfaces[:, :3]).square().sum(1, keepdim=True).sqrt() / math.sqrt(3)
