@@ -64,14 +64,14 @@ METHODS: dict[str, Callable[[], nn.Module]] = {
 }
 
 TRAINABLE: dict[str, tuple[Callable[[], nn.Module], Recipe]] = {
-    "extranet": (lambda: ExtraNet(extranet.BETTER), extranet.recipe),
+    "extranet": (lambda: ExtraNet(extranet.BETTER), extranet.better_recipe),
     "extranet-published": (ExtraNet, extranet.recipe),
     "extranet-plus": (lambda: ExtraNet(extranet.Config(scale=2)), extranet.recipe),
-    "extranet-without-history": (lambda: ExtraNet(replace(extranet.BETTER, history=False)), extranet.recipe),
-    "extranet-without-occlusion": (lambda: ExtraNet(replace(extranet.BETTER, occlusion=False)), extranet.recipe),
+    "extranet-without-history": (lambda: ExtraNet(replace(extranet.BETTER, history=False)), extranet.better_recipe),
+    "extranet-without-occlusion": (lambda: ExtraNet(replace(extranet.BETTER, occlusion=False)), extranet.better_recipe),
     "extranet-without-shading": (
         lambda: ExtraNet(extranet.BETTER),
-        replace(extranet.recipe, loss=extranet.loss_without_shading),
+        replace(extranet.better_recipe, loss=extranet.loss_without_shading),
     ),
     "extrass": (ExtraSS, extrass.recipe),
     "extrass-refined": (RefinedWarp, refine.recipe),
