@@ -1,6 +1,7 @@
 """Any source into our own format: exact, whole or not at all, resumed after an interruption, and described."""
 
 import json
+import math
 import resource
 import shutil
 from collections.abc import Iterator, Sequence
@@ -126,3 +127,6 @@ def test_what_is_found_lacking_and_allowed_is_described() -> None:
 def test_open_any_takes_our_own_format_too(disc_clip: Clip) -> None:
     assert open_any(disc_clip.path).records == disc_clip.records
     assert open_any(disc_clip.path, fps=60).fps == 60
+    for wrong in (0, -3, math.nan, math.inf):
+        with pytest.raises(ValueError, match="frames a second were asked for; give a number above 0"):
+            open_any(disc_clip.path, fps=wrong)

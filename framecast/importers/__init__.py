@@ -6,6 +6,7 @@ save(clip, "clip")               into our own format
 """
 
 import json
+import math
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -53,8 +54,11 @@ def open_any(
 
     Raises:
         FileNotFoundError: no such folder. ClipError: nothing in it that can be used; the message says why.
+        ValueError: `fps` is not above 0.
     """
     folder = Path(folder)
+    if fps is not None and not 0 < fps < math.inf:
+        raise ValueError(f"{fps:g} frames a second were asked for; give a number above 0")
     if source is None and settings is None and (folder / "clip.json").is_file():
         clip = open_clip(folder, repair=repair)
         return clip if fps is None else replace(clip, fps=fps)
