@@ -92,7 +92,7 @@ def evaluate_clip(clip: Clip, label: str, name: str, mode: Mode, settings: Setti
         for (role, region, metric), value in judged(footage, made, mode, settings).items():
             values[role, region, metric].append(value)
         for one in made if VIDEO in settings.metrics else ():
-            films.setdefault(one.start, Film(clip.fps)).add(one.shown, one.target)
+            films.setdefault(one.start, Film(clip.fps)).add(one.index, one.shown, one.target)
     averages = {key: statistics.fmean(found) for key, found in values.items()}
     main: Role = "shaded" if mode == "pass" else "generated"
     if films:

@@ -27,17 +27,26 @@ class Film:
         self.fps = fps
         self.images: list[Tensor] = []
         self.targets: list[Tensor] = []
+        self.numbers: list[int] = []
 
-    def add(self, image: Float[Tensor, "1 3 H W"], target: Float[Tensor, "1 3 H W"] | None) -> None:
-        """The next image; one without a truth is left out."""
+    def add(self, number: int, image: Float[Tensor, "1 3 H W"], target: Float[Tensor, "1 3 H W"] | None) -> None:
+        """The next image, of a frame of the clip; one without a truth is left out."""
         if target is not None:
+            self.numbers.append(number)
             self.images.append(image[0].half().cpu())
             self.targets.append(target[0].half().cpu())
 
+    @property
+    def rate(self) -> float:
+        """Images a second: fewer than the clip has where frames were left out."""
+        if len(self.numbers) < 2:
+            return self.fps
+        return self.fps * (len(self.numbers) - 1) / (max(self.numbers) - min(self.numbers))
+
     def quality(self, device: str = "cpu") -> float:
-        """JOD of the film, at the rate of the clip."""
+        """JOD of the film."""
         import pycvvdp
 
         metric = pycvvdp.cvvdp(display_name=DISPLAY, device=torch.device(device), quiet=True)
         films = (torch.stack(film).float() for film in (self.images, self.targets))
-        return float(metric.predict(*films, dim_order="FCHW", frames_per_second=self.fps)[0])
+        return float(metric.predict(*films, dim_order="FCHW", frames_per_second=self.rate)[0])

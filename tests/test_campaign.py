@@ -218,12 +218,23 @@ def test_colorvideovdp_is_ten_for_equal_films_and_falls_with_the_error(disc_clip
     found = []
     for noise in (0.0, 0.05, 0.2):
         film = video.Film(24.0)
-        for target in color:
-            film.add((target + noise * torch.rand_like(target)).clamp(0, 1), target)
+        for number, target in enumerate(color):
+            film.add(number, (target + noise * torch.rand_like(target)).clamp(0, 1), target)
         found.append(film.quality())
     assert found[0] == pytest.approx(10, abs=1e-3)
     assert found == sorted(found, reverse=True)
     assert len(set(found)) == 3
+
+
+def test_a_film_of_every_second_frame_is_slower() -> None:
+    image = torch.zeros(1, 3, 2, 2)
+    for step, rate in ((1, 24.0), (2, 12.0)):
+        film = video.Film(24.0)
+        assert film.rate == 24
+        for number in range(8):
+            film.add(number, image, image if number % step == 0 else None)
+        assert film.rate == rate
+    assert len(film.images) == 4
 
 
 def test_a_task_sets_the_threads_that_make_rows_the_same(disc_clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
