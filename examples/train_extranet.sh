@@ -7,7 +7,7 @@
 # DEVICE=cuda where there is a GPU.
 set -e
 out=${1:-runs/extranet}
-steps=${2:-8000}
+steps=${2:-9000}
 device=${DEVICE:-cpu}
 seeds=${SMALL:+0}
 frames=${SMALL:+8}
@@ -21,17 +21,16 @@ for seed in ${seeds:-0 1 2 3}; do
   done
 done
 # Random worlds, each another: what keeps the network from learning six scenes by heart.
-for seed in ${seeds:-0 1 2 3 4 5 6 7 8 9 10 11 12 13}; do
-  jitter=$([ $((seed % 2)) -eq 0 ] && echo --jitter || echo --no-jitter)
+for seed in ${seeds:-$(seq 0 49)}; do
+  jitter=$([ $((seed % 3)) -eq 0 ] && echo --jitter || echo --no-jitter)
   framecast render medley -o "$out/clips/train/medley-$seed" --seed "$seed" --size 320x180 --scale 1 --samples 0 \
-    --frames "${frames:-20}" "$jitter"
+    --frames "${frames:-16}" "$jitter"
 done
 for scene in harbor greenhouse hangar clockwork pond; do
   framecast render "$scene" -o "$out/clips/test/$scene" --size 320x180 --scale 1 --samples 1 --frames "${frames:-25}" \
     --no-jitter
 done
 
-framecast train extranet --clips "$out/clips/train/*" --out "$out/run" --steps "$steps" --batch 4 --crop 128 \
-  --device "$device"
+framecast train extranet --clips "$out/clips/train/*" --out "$out/run" --steps "$steps" --device "$device"
 framecast evaluate "$out"/clips/test/* --mode extrapolate \
   --methods "warp,warp-occlusion,extranet=$out/run/weights.safetensors" --json "$out/results.json"

@@ -8,7 +8,7 @@ from framecast.methods import METHODS
 
 def test_the_published_network() -> None:
     """262,141 parameters and 50.1 billion multiply-accumulates for a generated 1280 x 720 frame."""
-    found = cost("extranet")
+    found = cost("extranet-published")
     assert found.parameters == 262_141
     assert found.generated is not None
     assert found.generated * 1280 * 720 == pytest.approx(50.1e9, rel=1e-3)
