@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import pytest
 import torch
+import torch.nn.functional as F
 from passing import W, shot
 from torch import Tensor, nn
 
 from framecast.frame import SKY, Frame, concatenate, unshaded
+from framecast.methods import mixing
 from framecast.methods.extranet import (
     BETTER,
     DIFFERENCES,
@@ -223,12 +225,16 @@ def known(height: int = 11, width: int = 14) -> Inputs:
     return Inputs(noise(3), noise(3), past[-1][:, 3:], noise(6), 2 * noise(4), past, torch.zeros(1, 2))
 
 
-def test_what_is_mixed_like_a_brute_force_twin() -> None:
+def test_what_is_mixed_like_a_brute_force_twin(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each image by its own part, pixels around by how much their surface is like, beyond the border those at it."""
+    monkeypatch.setattr(mixing, "TILE", 50)  # three rows at a time
     inputs = known()
     height, width = inputs.base.shape[-2:]
     logits = torch.randn(1, len(DIFFERENCES) + BESIDE, height, width, generator=torch.Generator().manual_seed(8))
     found = mixed(inputs.base, differences(inputs), inputs.surfaces, logits)
+    with torch.no_grad():
+        tiled = mixed(inputs.base, differences(inputs), inputs.surfaces, logits)
+    torch.testing.assert_close(tiled, found)
     base, surfaces, parts = inputs.base[0], inputs.surfaces[0], torch.tanh(logits)[0]
     oldest, middle, newest = (past[0] for past in inputs.past)
 
@@ -258,6 +264,13 @@ def test_what_is_mixed_like_a_brute_force_twin() -> None:
                 others.append(alike * (base[:, i, j] - base[here]))
         expected = sum(float(a) * b for a, b in zip(part, others, strict=True))
         torch.testing.assert_close(found[0][here], expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("size", [(3, 5), (9, 4), (20, 31)])
+def test_sums_and_maxima_of_nine_by_nine_are_those_of_pools(size: tuple[int, int]) -> None:
+    image = torch.rand(2, 3, *size, generator=torch.Generator().manual_seed(4))
+    torch.testing.assert_close(mixing.of_nine(torch.add, image), 81 * F.avg_pool2d(image, 9, 1, 4))
+    assert torch.equal(mixing.of_nine(torch.maximum, image), F.max_pool2d(image, 9, 1, 4))
 
 
 def test_light_does_not_cross_to_another_surface_and_hidden_light_is_not_mixed() -> None:

@@ -5,8 +5,8 @@ Paper:   Guo, Fu, Lin, Ma, Guo, Liu, Yan, "ExtraNet: Real-time Extrapolated Rend
          https://doi.org/10.1145/3478513.3480531
 Follows: section 4: demodulation, three shaded frames warped by accumulated motion, holes marked by object, normal and
          position (5.2), light-weight gated U-Net with a shared history encoder, residual on the warped image, log
-         domain, and the three losses. The network is the published one, layer by layer: 262,141 parameters, 50.1 GMAC
-         at 1280 x 720.
+         domain, and the three losses. `Config()` is the published network, layer by layer: 262,141 parameters, 50.1
+         GMAC at 1280 x 720.
 Differs: Motion is accumulated from the newest frame on, each vector read where the one before leads and on the same
          surface; the public code starts at the oldest.
          The normal test marks small cosines (below 0.98), as the public code does; reading notes print the opposite.
@@ -42,7 +42,7 @@ from torch import Tensor, nn
 from framecast.color import decode_log, encode_log, modulate, to_display
 from framecast.frame import SKY, Frame
 from framecast.methods.guided import Seen, begins_unshaded, guided_warp, guides, mean_of
-from framecast.methods.mixing import BESIDE, around, change, mixed
+from framecast.methods.mixing import BESIDE, around, change, mixed, of_nine
 from framecast.methods.reproject import (
     GEOMETRY,
     Geometry,
@@ -342,9 +342,9 @@ def after_cut(frame: Frame, state: History) -> History:
 def unsteady(inputs: Inputs) -> Float[Tensor, "b 1 h w"]:
     """0 where the warped frames agree, 1 within four pixels of a hole or of a difference of `CHANGE` and more."""
     *older, newest = inputs.past
-    change = torch.stack([(image - newest).abs().amax(1, keepdim=True) for image in older]).amax(0)
-    change = torch.where(inputs.mask > 0, change / CHANGE, 1).clamp(max=1)
-    return F.max_pool2d(change, 9, stride=1, padding=4)
+    apart = torch.stack([(image - newest).abs().amax(1, keepdim=True) for image in older]).amax(0)
+    apart = torch.where(inputs.mask > 0, apart / CHANGE, 1).clamp(max=1)
+    return of_nine(torch.maximum, apart)
 
 
 def scattered(x: Float[Tensor, "b c h w"], jitter: Float[Tensor, "b 2"], scale: int) -> Float[Tensor, "b c H W"]:
