@@ -19,7 +19,16 @@ from framecast.methods import METHODS
 OPTIONAL = {"motion_next"}
 """Fields that methods may use where a clip has them, without asking for them."""
 
+GUIDED = {"extrass-warp", "extrass-refined"}
+"""Methods to which objects are such a field."""
+
 EVERYTHING = (*BUFFERS, "view", "projection")
+
+
+def optional(name: str) -> set[str]:
+    """Those of a method."""
+    return OPTIONAL | ({"object"} if name in GUIDED else set())
+
 
 GENERATING = [
     name
@@ -200,8 +209,8 @@ def test_what_stands_still_stays(name: str) -> None:
 def test_what_is_not_needed_changes_nothing(name: str) -> None:
     method = METHODS[name]()
     frames = shaded()
-    spare = dict.fromkeys(set(EVERYTHING) - {*method.needs, *OPTIONAL})
-    unasked = dict.fromkeys(set(EVERYTHING) - {*method.needs_generated, *OPTIONAL})
+    spare = dict.fromkeys(set(EVERYTHING) - {*method.needs, *optional(name)})
+    unasked = dict.fromkeys(set(EVERYTHING) - {*method.needs_generated, *optional(name)})
     expected = generated(method, frames)
     bare = generated(method, [replace(f, **spare) for f in frames], lambda t: replace(full(t), **unasked))
     for image, other in zip(expected, bare, strict=True):
@@ -210,7 +219,7 @@ def test_what_is_not_needed_changes_nothing(name: str) -> None:
 
 def test_works_without_optional_buffers(name: str) -> None:
     method = METHODS[name]()
-    without = dict.fromkeys(OPTIONAL)
+    without = dict.fromkeys(optional(name))
     frames = [replace(f, **without) for f in shaded()]
     images = generated(method, frames, lambda t: replace(full(t), **without))
     assert all(bool(torch.isfinite(image).all()) for image in images)

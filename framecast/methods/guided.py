@@ -14,7 +14,8 @@ Differs: Where the plain bilinear read meets a like surface it is kept: with the
          Where no candidate is alike the pixel is a hole, and filled from like surfaces around it in this frame
          (`reproject.filled`; worth 0.3 dB on training scenes).
          Jitter of both frames is part of the motion. The sky counts as a surface of its own.
-Needs:   color, depth, albedo, metallic, normal; of the generated frame the same but colour, and motion
+Needs:   color, depth, albedo, metallic, normal; of the generated frame the same but colour, and motion; of both the
+         object, where they have it
 Modes:   extrapolate
 State:   the last shaded frame: light and surfaces
 """
