@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from passing import W, shot
 from torch import Tensor, nn
 
+from framecast.color import to_display
 from framecast.frame import SKY, Frame, concatenate, unshaded
 from framecast.methods import mixing
 from framecast.methods.extranet import (
@@ -24,6 +25,7 @@ from framecast.methods.extranet import (
     features,
     hole_loss,
     loss,
+    loss_as_shown,
     loss_without_shading,
     scattered,
     shading_loss,
@@ -126,6 +128,28 @@ def test_no_loss_when_nothing_changes_and_gradients_reach_every_layer() -> None:
     assert all(float(term.detach()) < 1e-4 for term in terms.values())
     method = ExtraNet().train()
     sum(loss(method, [*frames, unshaded(target)], 2 * target.color[:, None]).values()).backward()
+    assert all(p.grad is not None and bool(torch.isfinite(p.grad).all()) for p in method.parameters())
+    assert method.network.encoder is not None
+    assert any(bool(p.grad.abs().sum() > 0) for p in method.network.encoder.parameters() if p.grad is not None)
+
+
+def test_errors_as_displayed_vanish_for_the_truth_and_reach_every_layer() -> None:
+    """Roots of mean squares of all pixels, holes, the worst tenth; a black frame is as wrong as the image is bright."""
+    frames = [shot(t, speed=0) for t in (0.0, 2.0, 4.0)]
+    target = shot(5.0, speed=0, span=1.0)
+    given = [*frames, unshaded(target)]
+    terms = loss_as_shown(silent(BETTER), given, target.color[:, None])
+    assert terms.keys() == {"image", "hole", "shade"}
+    assert all(float(term.detach()) < 6e-3 for term in terms.values())
+    dark = loss_as_shown(silent(BETTER), given, torch.zeros_like(target.color[:, None]))
+    shown = to_display(target.color).square().mean(1)
+    assert float(dark["image"].detach()) == pytest.approx(5 * float(shown.mean().sqrt()), rel=1e-3)
+    assert float(dark["hole"].detach()) == pytest.approx(0.5e-3, abs=1e-5)
+    worst = shown.flatten().topk(round(shown.numel() / 10)).values.mean().sqrt()
+    assert float(dark["shade"].detach()) == pytest.approx(0.5 * float(worst), rel=1e-3)
+    method = ExtraNet(BETTER).train()
+    moved = [*(shot(t) for t in (0.0, 2.0, 4.0)), unshaded(shot(5.0, span=1.0))]
+    sum(loss_as_shown(method, moved, 2 * shot(5.0, span=1.0).color[:, None]).values()).backward()
     assert all(p.grad is not None and bool(torch.isfinite(p.grad).all()) for p in method.parameters())
     assert method.network.encoder is not None
     assert any(bool(p.grad.abs().sum() > 0) for p in method.network.encoder.parameters() if p.grad is not None)

@@ -459,4 +459,4 @@ def shading_loss(error: Float[Tensor, "b 3 h w"]) -> Float[Tensor, ""]:
 
 
 recipe = Recipe(loss=loss)
-better_recipe = Recipe(loss=loss_as_shown, crop=(96, 96), batch=4, steps=8000)
+better_recipe = Recipe(loss=loss_as_shown, crop=(96, 96), batch=4, steps=9000)

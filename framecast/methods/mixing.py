@@ -51,7 +51,7 @@ def mixed(
 def light_around(base: Tensor, surfaces: Tensor, parts: Tensor) -> Tensor:
     """What the pixels around add, a few rows at a time, which stay in the caches of a core. Compiled code calls this as
     it is: of its own reads beyond the border no compiler makes fast ones."""
-    return _around(base, surfaces, parts, max(1, TILE // base.shape[-1]))
+    return _around(base, surfaces, parts, max(1, TILE // base.shape[-1])).contiguous()
 
 
 @light_around.register_fake
