@@ -50,7 +50,7 @@ def mixed(
 @library.custom_op("framecast::light_around", mutates_args=())
 def light_around(base: Tensor, surfaces: Tensor, parts: Tensor) -> Tensor:
     """What the pixels around add, a few rows at a time, which stay in the caches of a core. Compiled code calls this as
-    it is: of its own reads beyond the border no compiler makes fast ones."""
+    it is."""
     return _around(base, surfaces, parts, max(1, TILE // base.shape[-1])).contiguous()
 
 
